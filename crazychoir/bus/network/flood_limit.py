@@ -30,7 +30,7 @@ FLOOD_LIMITS = FloodLimits()
 class FrameBudget:
     """The frames that a host may still send."""
 
-    at_ns: int
+    at_ns: int = 0
     """ns: time of the last frame."""
     left: float = FLOOD_LIMITS.burst_size
     """Frames left at that time."""

@@ -15,6 +15,7 @@ import logging
 import os
 import socket
 import struct
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from hashlib import blake2b
@@ -40,11 +41,16 @@ class LocalSocketLimits:
     piece_size: int = 128 * 1024
     """Bytes of the pieces of a large frame, at most; a socket with a small buffer gets smaller ones."""
     packets_a_pass: int = 64
-    """Most packets of a connection that are read in one pass of the event loop."""
+    """Most packets of a connection that are read in one pass."""
     slice_ns: int = NS_PER_SECOND // 500
-    """ns: most time for reading one connection in one pass; a frame that is being read is finished."""
+    """ns: most time for reading all connections in one pass of the event loop.
+
+    A frame that is being read is finished, and each connection may read one.
+    """
     backlog: int = 128
     """Connections that may wait to be accepted."""
+    most_waiting: int = 2 * FRAME_FORMAT.max_bytes
+    """Bytes of frames to one process that may wait in this one for a full socket."""
     most_strangers: int = 32
     """Most connections that have not told their process yet."""
 
@@ -98,7 +104,9 @@ def find_machine() -> str:
     result is empty where the system does not tell.
     """
     try:
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        boot = (
+            Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        )
         network = os.stat("/proc/self/ns/net").st_ino
         clock = os.stat("/proc/self/ns/time").st_ino
     except OSError:
@@ -124,6 +132,12 @@ class LocalConnection:
     """Name of the other process; empty until it is known."""
     pieces: bytearray = field(default_factory=bytearray)
     """The pieces of a large frame that have arrived."""
+    waiting: deque[bytes] = field(default_factory=deque)
+    """Packets that wait until the socket has room."""
+    waiting_size: int = 0
+    """Bytes of the packets that wait."""
+    path: str = ""
+    """Path of the other process, if this one has connected."""
 
 
 @dataclass(slots=True)
@@ -172,6 +186,8 @@ class LocalSockets:
         self._listening: socket.socket | None = None
         self._strangers: dict[LocalConnection, None] = {}
         self._connections: dict[str, LocalConnection] = {}
+        self._ending: dict[LocalConnection, None] = {}
+        self._slice_ends_ns = 0
 
     # Opening and closing --------------------------------------------------------------
 
@@ -196,7 +212,11 @@ class LocalSockets:
 
     def close(self) -> None:
         """End all connections, and remove the path."""
-        for connection in [*self._connections.values(), *self._strangers]:
+        for connection in [
+            *self._connections.values(),
+            *self._strangers,
+            *self._ending,
+        ]:
             self._end(connection)
         self._stop_listening()
 
@@ -218,6 +238,11 @@ class LocalSockets:
         """
         if not self._may_connect(process, address):
             return
+        known = self._connections.get(process)
+        if known is not None:
+            if known.path == address.path:
+                return
+            self._end(known)  # a process of the same name has taken its place
         try:
             made = connect_to(Path(address.path), self.identity)
         except OSError as error:
@@ -225,16 +250,17 @@ class LocalSockets:
             return
         connection = self._adopt(made)
         connection.process = process
+        connection.path = address.path
         self._connections[process] = connection
 
     def _may_connect(self, process: str, address: LocalAddress) -> bool:
-        """Return True if it is on us to connect to this process, and we have not."""
+        """Return True if it is on us to connect to this process, at an address of our folder."""
         return (
             self._listening is not None
             and bool(address.path)
             and address.machine == self.address.machine
+            and os.path.dirname(address.path) == os.path.dirname(self.address.path)
             and self.identity.process < process
-            and process not in self._connections
         )
 
     def forget(self, process: str) -> None:
@@ -258,11 +284,13 @@ class LocalSockets:
             self._stop_listening()
             return
         made.setblocking(False)
-        is_crowded = len(self._strangers) >= SOCKET_LIMITS.most_strangers
-        if is_crowded or read_user(made) != os.getuid():
+        if read_user(made) != os.getuid():
             self.counters.strangers += 1
             made.close()
             return
+        if len(self._strangers) >= SOCKET_LIMITS.most_strangers:
+            self.counters.strangers += 1
+            self._end(next(iter(self._strangers)))
         self._strangers[self._adopt(made)] = None
 
     def _adopt(self, made: socket.socket) -> LocalConnection:
@@ -279,9 +307,11 @@ class LocalSockets:
     def _end(self, connection: LocalConnection) -> None:
         """Close a connection."""
         self._strangers.pop(connection, None)
+        self._ending.pop(connection, None)
         if self._connections.get(connection.process) is connection:
             del self._connections[connection.process]
         self._loop.remove_reader(connection.socket.fileno())
+        self._loop.remove_writer(connection.socket.fileno())
         connection.socket.close()
 
     # Sending --------------------------------------------------------------------------
@@ -290,37 +320,78 @@ class LocalSockets:
         """Return True if frames to this process may go through a socket."""
         return process in self._connections
 
-    def send(self, process: str, frame: bytes) -> None:
+    def send(self, process: str, frame: bytes) -> bool:
         """Send a frame to a connected process, a large one in pieces.
 
-        If a piece does not fit, because the process does not read fast enough, the frame is lost.
-        The next frame begins anew.
+        What does not fit into the socket waits here. If too much waits already, because the process
+        does not read fast enough, the frame is dropped.
+        Returns True unless it was dropped.
         """
         connection = self._connections[process]
         size = connection.piece_size
         now_ns = self._now_ns()
-        try:
-            for start in range(0, len(frame), size):
-                is_last = start + size >= len(frame)
-                mark = LAST_PIECE_MARK if is_last else PIECE_MARK
-                head = PACKET_HEAD.pack(mark, start, now_ns)
-                connection.socket.send(head + frame[start : start + size])
-        except (BlockingIOError, InterruptedError):
+        is_idle = not connection.waiting
+        if (
+            connection.waiting_size
+            and connection.waiting_size + len(frame) > SOCKET_LIMITS.most_waiting
+        ):
             self.counters.full += 1
+            return False
+        for start in range(0, len(frame), size):
+            is_last = start + size >= len(frame)
+            mark = LAST_PIECE_MARK if is_last else PIECE_MARK
+            packet = PACKET_HEAD.pack(mark, start, now_ns) + frame[start : start + size]
+            connection.waiting.append(packet)
+            connection.waiting_size += len(packet)
+        if is_idle:
+            self._write(connection)
+            if connection.waiting:
+                self._loop.add_writer(
+                    connection.socket.fileno(), self._write, connection
+                )
+        return True
+
+    def _write(self, connection: LocalConnection) -> None:
+        """Send the packets that wait, as many as have room."""
+        waiting = connection.waiting
+        try:
+            while waiting:
+                connection.socket.send(waiting[0], socket.MSG_NOSIGNAL)
+                connection.waiting_size -= len(waiting.popleft())
+        except (BlockingIOError, InterruptedError):
+            return
         except OSError:
             self.counters.broken += 1
-            self._end(connection)
+            self._give_up(connection)
+        self._loop.remove_writer(connection.socket.fileno())
+
+    def _give_up(self, connection: LocalConnection) -> None:
+        """Send no more; read what has arrived, until the end of the connection."""
+        connection.waiting.clear()
+        connection.waiting_size = 0
+        if self._connections.get(connection.process) is connection:
+            del self._connections[connection.process]
+        self._ending[connection] = None
+        with contextlib.suppress(OSError):
+            connection.socket.shutdown(socket.SHUT_WR)
 
     # Receiving ------------------------------------------------------------------------
 
     def _read(self, connection: LocalConnection) -> None:
         """Read some packets of a connection; the next pass reads on."""
-        ends_ns = self._now_ns() + SOCKET_LIMITS.slice_ns
+        if not self._slice_ends_ns:
+            self._slice_ends_ns = self._now_ns() + SOCKET_LIMITS.slice_ns
+            self._loop.call_soon(self._end_slice)
+        ends_ns = self._slice_ends_ns
         for _ in range(SOCKET_LIMITS.packets_a_pass):
             try:
                 packet = connection.socket.recv(SOCKET_LIMITS.buffer_size)
             except (BlockingIOError, InterruptedError):
                 return
+            except ConnectionResetError:
+                # It ended with frames of ours unread. What it had sent before still waits.
+                self.counters.broken += 1
+                continue
             except OSError:
                 self.counters.broken += 1
                 packet = b""
@@ -330,6 +401,10 @@ class LocalSockets:
             self._take(connection, packet)
             if connection.socket.fileno() < 0 or self._now_ns() > ends_ns:
                 return
+
+    def _end_slice(self) -> None:
+        """Let the next pass of the event loop read for a whole slice again."""
+        self._slice_ends_ns = 0
 
     def _take(self, connection: LocalConnection, packet: bytes) -> None:
         """Take a packet: a frame, a piece of a frame, or an identity."""
@@ -397,6 +472,7 @@ def listen_at(path: Path) -> socket.socket:
         os.rename(hidden, path)
     except OSError:
         listening.close()
+        hidden.unlink(missing_ok=True)
         raise
     return listening
 

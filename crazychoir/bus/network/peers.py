@@ -12,6 +12,7 @@ from typing import Any
 from crazychoir.bus.clock_offset import ClockOffset, OffsetEstimate
 from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.endpoints import is_name
+from crazychoir.bus.network.flood_limit import FrameBudget
 from crazychoir.bus.network.hello import Hello
 from crazychoir.bus.network.hello_review import (
     HelloReview,
@@ -75,6 +76,8 @@ class Peer:
     """Offset of its clock."""
     lanes: dict[MessageClass, Any] = field(default_factory=dict)
     """Lanes of the link, by class."""
+    budget: FrameBudget = field(default_factory=FrameBudget)
+    """The frames that it may still send through a socket."""
 
 
 class Peers:

@@ -186,6 +186,8 @@ class LinkCounters:
     """Frames with a handler that raised an error."""
     put_errors: int = 0
     """Frames that Zenoh refused to send."""
+    full: int = 0
+    """Frames dropped because a process of this host does not read fast enough."""
     tokens: int = 0
     """Additional tokens, declared because another process lost ours."""
     worst_put_s: float = 0.0
@@ -242,9 +244,8 @@ class ZenohLink(Actor):
         self.counters = LinkCounters()
         own = Introduction(swarm, incarnation, version, dict(agreed or {}))
         identity = LocalIdentity(swarm, bus.process, incarnation)
-        self.local = LocalSockets(
-            identity, self._local_frame, self._may_connect, bus.clock.now_ns
-        )
+        take = partial(self._take, self._local_frame)
+        self.local = LocalSockets(identity, take, self._may_connect, bus.clock.now_ns)
         self.table = Peers(bus, own, access, on_token, on_refused)
         self.peers = self.table.by_name
         self.directory = self.table.directory
@@ -586,13 +587,19 @@ class ZenohLink(Actor):
                 continue
             for frame in frames:
                 if self.local.is_connected(lane.process):
-                    self.local.send(lane.process, frame)
-                    self.counters.frames_sent += 1
-                    self.counters.bytes_sent += len(frame)
+                    self._send_local(lane.process, frame)
                 else:
                     self._put(lane.publisher.put, frame)
         for _ in range(len(self._after)):
             self._after.popleft()()
+
+    def _send_local(self, process: str, frame: bytes) -> None:
+        """Send a frame through the socket to a process of this host."""
+        if self.local.send(process, frame):
+            self.counters.frames_sent += 1
+            self.counters.bytes_sent += len(frame)
+        else:
+            self.counters.full += 1
 
     def _say_hello(self) -> None:
         names = self._to_greet
@@ -712,23 +719,27 @@ class ZenohLink(Actor):
             FRAME_READING.least_slice_ns, min(busy, FRAME_READING.longest_slice_ns)
         )
         for _ in range(min(len(queue), FRAME_READING.slice_frames)):
-            handler, key, data, arrived_ns = queue.popleft()
-            try:
-                handler(key, data, arrived_ns)
-            except Exception as error:
-                # An error in one frame must not stop the next one.
-                self.counters.failed += 1
-                if self.counters.failed.bit_count() == 1:
-                    # Log the first, the second, the fourth, ...
-                    log.error(
-                        "a frame at %s was not taken: %s", key, error, exc_info=error
-                    )
+            self._take(*queue.popleft())
             if self._now_ns() > ends_ns:
                 break
         self._behind_ns = self._now_ns() if queue else 0
         if queue and not self._armed:
             self._armed = True
             self._loop.call_soon(self._drain)
+
+    def _take(
+        self, handler: Handler, sender: str, data: bytes, arrived_ns: int
+    ) -> None:
+        """Let a handler take a frame or a token; its error does not stop the next one."""
+        try:
+            handler(sender, data, arrived_ns)
+        except Exception as error:
+            self.counters.failed += 1
+            if self.counters.failed.bit_count() == 1:
+                # Log the first, the second, the fourth, ...
+                log.error(
+                    "a frame of %s was not taken: %s", sender, error, exc_info=error
+                )
 
     def _token_came(self, key: str, data: bytes, arrived_ns: int) -> None:
         host, process, *_ = key.split("/")[3:]
@@ -789,14 +800,19 @@ class ZenohLink(Actor):
             self.counters.strangers += 1
             return
         now_ns = self._now_ns()
-        budget = self._budgets.of(f"{peer.host}/{process}", now_ns)
-        if not budget.take(now_ns, len(data)):
-            self._flooded(budget, f"{peer.host} (process {process})")
+        if not peer.budget.take(now_ns, len(data)):
+            self._flooded(peer.budget, f"{peer.host} (process {process})")
             return
         try:
             frame = decode_frame(data)
+        except FrameVersionError:
+            self.counters.other_version += 1
+            return
         except CodecError:
             self.counters.malformed += 1
+            return
+        if frame.process != process:
+            self.counters.strangers += 1
             return
         self.counters.frames_received += 1
         self._distribute(peer, frame.envelopes, min(sent_ns, now_ns))

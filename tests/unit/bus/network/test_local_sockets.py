@@ -1,6 +1,7 @@
 """Sockets between the processes of a host: two ends in one event loop, with real sockets."""
 
 import asyncio
+import itertools
 import os
 import resource
 import socket
@@ -8,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -28,13 +30,13 @@ VERSION = bytes([FRAME_FORMAT.version])
 class End:
     """One process: its sockets, and the frames that it has received."""
 
-    def __init__(self, name: str, swarm: str = "swarm") -> None:
+    def __init__(self, name: str, swarm: str = "swarm", incarnation: int = 1) -> None:
         self.frames: list[tuple[str, bytes]] = []
         self.waits: list[float] = []
         """Seconds from the sending of each frame to its reading."""
         self.known = True
         self.sockets = LocalSockets(
-            LocalIdentity(swarm, name, 1),
+            LocalIdentity(swarm, name, incarnation),
             self._receive,
             lambda identity: self.known,
             time.monotonic_ns,
@@ -104,6 +106,91 @@ async def test_large_frames_go_in_pieces(ends, extra):
     a.sockets.send("b", VERSION)
     await until(lambda: len(b.frames) == 2)
     assert b.frames == [("a", frame), ("a", VERSION)]
+
+
+@pytest.mark.parametrize("size", [400_000, 650_000])
+async def test_large_frames_arrive_where_the_system_grants_small_buffers(
+    ends, monkeypatch, size
+):
+    """A grant of 425984 bytes is usual."""
+    small = replace(SOCKET_LIMITS, buffer_size=212_992)
+    monkeypatch.setattr(local_sockets, "SOCKET_LIMITS", small)
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    for count in (1, 2):
+        frame = VERSION + os.urandom(size)
+        assert a.sockets.send("b", frame)
+        await until(lambda count=count: len(b.frames) == count)
+        assert b.frames[-1] == ("a", frame)
+
+
+async def test_what_a_process_has_sent_before_its_end_is_read(ends):
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    b.sockets.send("a", VERSION + b"unread")
+    for n in range(10):
+        a.sockets.send("b", VERSION + bytes([n]))
+    a.sockets.close()
+    b.sockets.send("a", VERSION + b"too late")
+    await until(lambda: len(b.frames) == 10)
+    await until(lambda: not b.sockets.is_connected("a"))
+
+
+async def test_all_connections_share_the_time_of_a_pass(ends, monkeypatch):
+    """Each of ten processes sends more than a slice: a pass reads one slice, and one frame of each."""
+    b = ends("b0")
+    others = [ends(f"a{n}") for n in range(10)]
+    for other in others:
+        await connect(other, b)
+    for other in others:
+        for _ in range(20):
+            other.sockets.send("b0", VERSION)
+    now_ns = itertools.count(0, SOCKET_LIMITS.slice_ns // 4)
+    b.sockets._now_ns = lambda: next(now_ns)
+    before = len(b.frames)
+    await asyncio.sleep(0.0)
+    await asyncio.sleep(0.0)
+    assert 0 < len(b.frames) - before < 2 * (10 + 4)
+    await until(lambda: len(b.frames) == 200)
+
+
+async def test_a_process_of_the_same_name_takes_the_place(ends):
+    a, old = ends("a"), ends("b")
+    await connect(a, old)
+    new = End("b", incarnation=2)
+    try:
+        a.sockets.reach("b", new.sockets.address)
+        await until(lambda: new.sockets.is_connected("a"))
+        a.sockets.send("b", VERSION)
+        await until(lambda: new.frames)
+        assert old.frames == []
+    finally:
+        new.sockets.close()
+
+
+async def test_only_sockets_of_the_own_folder_are_reached(ends, tmp_path):
+    a, b = ends("a"), ends("b")
+    link = tmp_path / "elsewhere.sock"
+    link.symlink_to(b.sockets.address.path)
+    for path in (str(link), "\0abstract", ""):
+        a.sockets.reach("b", LocalAddress(b.sockets.address.machine, path))
+        assert not a.sockets.is_connected("b")
+
+
+async def test_silent_connections_do_not_keep_others_out(ends):
+    a, b = ends("a"), ends("b")
+    silent = [
+        socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        for _ in range(SOCKET_LIMITS.most_strangers)
+    ]
+    try:
+        for one in silent:
+            one.connect(b.sockets.address.path)
+        await until(lambda: len(b.sockets._strangers) == len(silent))
+        await connect(a, b)
+    finally:
+        for one in silent:
+            one.close()
 
 
 async def test_a_process_that_does_not_read_loses_frames_and_hurts_no_other(ends):
