@@ -6,11 +6,12 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from crazychoir.bus.codec import encode
-from crazychoir.bus.frames import Envelope, Frame, encode_frame
+from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.frames import FRAME_FORMAT, Envelope, Frame, encode_frame
 from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.flood_limit import FLOOD_LIMITS
 from crazychoir.bus.network.hello import Hello
+from crazychoir.bus.network.local_sockets import LocalAddress, LocalIdentity
 from crazychoir.bus.network.zenoh_link import (
     FRAME_READING,
     ZenohLink,
@@ -232,3 +233,106 @@ async def test_handlers_that_fail_again_and_again_fill_no_disk(caplog):
         link._drain()
     assert link.counters.failed == 1000
     assert caplog.text.count("was not taken") == 10
+
+
+# Frames through a socket ----------------------------------------------------------------------------------------------
+
+
+def log_line(text="x"):
+    topic = DRONE_TOPICS.log.number
+    return frame(Envelope(topic, 1, (0,), 0, 0, 0.5, "", encode(text)))
+
+
+def listen_to_logs(link):
+    """Return a list that gets the (value, age) of each log line of drone 1."""
+    heard = []
+    link.bus.ports[0].handlers[DRONE_TOPICS.log.number] = (
+        lambda source, payload, number, channel, flags, age: heard.append(
+            (decode(payload), age)
+        )
+    )
+    return heard
+
+
+async def test_a_message_ages_in_the_socket():
+    link = await link_of_a()
+    heard = listen_to_logs(link)
+    link.bus.clock.ns = 5_000_000_000
+    link._local_frame("1-1", log_line(), 3_000_000_000)
+    link._local_frame("1-1", log_line("from the future"), 9_000_000_000)
+    assert heard == [("x", 2.5), ("from the future", 0.5)]
+
+
+async def test_what_is_no_frame_of_the_process_of_a_socket_is_counted():
+    link = await link_of_a()
+    heard = listen_to_logs(link)
+    counters = link.counters
+    link._local_frame("2-1", log_line(), 0)
+    link._local_frame("1-1", encode_frame(Frame("2-1", 2, 2, [])), 0)
+    assert counters.strangers == 2
+    link._local_frame("1-1", bytes([FRAME_FORMAT.version + 1]), 0)
+    assert counters.other_version == 1
+    link._local_frame("1-1", log_line()[:-1], 0)
+    assert counters.malformed == 1
+    assert heard == []
+
+
+async def test_a_flood_through_a_socket_is_cut_off(caplog):
+    link = await link_of_a()
+    heard = listen_to_logs(link)
+    for _ in range(2 * int(FLOOD_LIMITS.burst_size)):
+        link._local_frame("1-1", log_line(), 0)
+    assert len(heard) == FLOOD_LIMITS.burst_size
+    assert link.counters.flooded == FLOOD_LIMITS.burst_size
+    await asyncio.sleep(0)
+    assert caplog.text.count("floods us") == 1
+
+
+async def test_an_error_of_a_handler_of_a_local_frame_is_counted():
+    link = await link_of_a()
+
+    def fails(*message):
+        raise ValueError("no")
+
+    link.bus.ports[0].handlers[DRONE_TOPICS.log.number] = fails
+    link.local._receive("1-1", log_line(), 0)
+    assert link.counters.failed == 1
+
+
+@pytest.mark.parametrize(
+    ("host", "incarnation", "refusal", "may_connect"),
+    [
+        ("a", 2, "", True),
+        ("b", 2, "", False),
+        ("a", 3, "", False),
+        ("a", 2, "another swarm file", False),
+    ],
+)
+async def test_only_known_processes_of_the_host_may_connect(
+    host, incarnation, refusal, may_connect
+):
+    link = await link_of_a()
+    peer = link.peers["1-1"]
+    peer.host = host
+    peer.refusal = refusal
+    assert link._may_connect(LocalIdentity("s", "1-1", incarnation)) is may_connect
+    assert not link._may_connect(LocalIdentity("s", "2-1", incarnation))
+
+
+@pytest.mark.parametrize(
+    ("host", "heard", "reached"),
+    [("b", ["0-1"], False), ("a", [], False), ("a", ["0-1"], True)],
+)
+async def test_processes_of_the_host_are_reached_when_hello_has_gone_both_ways(
+    host, heard, reached
+):
+    link = await link_of_a()
+    link.bus.host = "a"
+    link.table.went("b", "1-1", "token")
+    peer = link.table.came(host, "1-1", "token")
+    asked = []
+    link.local.reach = lambda process, address: asked.append((process, address))
+    there = LocalAddress("machine", "path")
+    said = Hello("1-1", host, 2, "1", 1.0, [1], [], [], heard, False, local=there)
+    link._greeted(peer, said.payload(), 0.0)
+    assert asked == ([("1-1", there)] if reached else [])
