@@ -30,6 +30,9 @@ class EpochChange:
 
     rosters: the roster in force at this drone
     presence: which other drones are present
+
+    Attributes:
+    held_for: epoch for which this drone holds its rounds, as another drone has asked; 0 if it does not
     """
 
     def __init__(self, rosters: TeamRoster, presence: TeamPresence) -> None:
@@ -47,7 +50,7 @@ class EpochChange:
         """{drone id: incarnation} of the members of other halves of the team."""
         self._give_up_ns = 0
         """ns: time at which the drones that have not answered are given up."""
-        self._held_for = 0
+        self.held_for = 0
         rosters.listeners.append(self._end)
         presence.attach(self)
 
@@ -55,11 +58,6 @@ class EpochChange:
     def is_open(self) -> bool:
         """True while this drone forms the next roster."""
         return bool(self._next)
-
-    @property
-    def held_for(self) -> int:
-        """Epoch for which this drone holds its rounds, as another drone has asked; 0 if it does not."""
-        return self._held_for
 
     def attach(self, rounds: HeldRounds) -> None:
         """Hold these rounds while an epoch changes."""
@@ -198,7 +196,7 @@ class EpochChange:
         self._held = {}
         self._halves = {}
         self._target = 0
-        self._held_for = 0
+        self.held_for = 0
 
     # HOLD -----------------------------------------------------------------------------
 
@@ -223,7 +221,7 @@ class EpochChange:
             self._next = {}
         elif self.presence.coordinator() == self.id:
             return
-        self._held_for = request.epoch
+        self.held_for = request.epoch
         members = roster.members if roster is not None else {}
         answer = HoldAnswer(request.epoch, self._hold(), members)
         self.rosters.send_message(source, answer)

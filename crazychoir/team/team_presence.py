@@ -36,14 +36,12 @@ def _read_payload(payload: bytes) -> TeamHeartbeat:
 class PresenceReview(Protocol):
     """Acts on heartbeats and losses of other drones while this drone is the coordinator."""
 
+    held_for: int
+    """Epoch for which this drone holds its rounds, as another drone has asked; 0 if it does not."""
+
     @property
     def is_open(self) -> bool:
         """True while the coordinator forms the next roster."""
-        ...
-
-    @property
-    def held_for(self) -> int:
-        """Epoch for which this drone holds its rounds, as another drone has asked; 0 if it does not."""
         ...
 
     def review(self, source: int, beat: TeamHeartbeat, roster: Roster) -> None:

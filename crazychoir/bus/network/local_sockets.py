@@ -505,7 +505,7 @@ def remove_stale_sockets(folder: Path) -> None:
             except ConnectionRefusedError:
                 path.unlink(missing_ok=True)
             except OSError:
-                continue
+                continue  # a process listens there, or it is no socket of ours
 
 
 def read_user(connected: socket.socket) -> int:
