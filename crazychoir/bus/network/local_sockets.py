@@ -2,11 +2,14 @@
 
 They are AF_UNIX sockets of the kind SEQPACKET: each packet is one frame, or a piece of a large one,
 and the event loop reads it without another thread. A packet tells when it was sent, by the clock of
-the machine, so that a frame ages while it waits for its reader. The folder of the sockets is private, and the
-system tells the user of each process that connects: a process of another user is a stranger.
+the machine, so that a frame ages while it waits for its reader.
 
-Of two processes, that with the lesser name connects. Its first packet tells its name. A receiver
-that is full, or stopped, costs only the frames to itself: they are dropped and counted.
+The folder of the sockets is private, and the system tells the user of each process that connects. A
+process of another user is a stranger.
+
+Of two processes, that with the lesser name connects. Its first packet tells its name. Frames to a
+process that does not read wait for a while. Later ones are dropped and counted, and no other process
+is disturbed.
 """
 
 import asyncio
@@ -50,7 +53,7 @@ class LocalSocketLimits:
     backlog: int = 128
     """Connections that may wait to be accepted."""
     most_waiting: int = 2 * FRAME_FORMAT.max_bytes
-    """Bytes of frames to one process that may wait in this one for a full socket."""
+    """Most bytes of frames that may wait here until the socket to a process has room."""
     most_strangers: int = 32
     """Most connections that have not told their process yet."""
 
@@ -389,7 +392,7 @@ class LocalSockets:
             except (BlockingIOError, InterruptedError):
                 return
             except ConnectionResetError:
-                # It ended with frames of ours unread. What it had sent before still waits.
+                # The other process ended, and has not read all frames. Its own still wait here.
                 self.counters.broken += 1
                 continue
             except OSError:
