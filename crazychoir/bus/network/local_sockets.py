@@ -43,8 +43,6 @@ class LocalSocketLimits:
     """Bytes that are asked for each direction of a connection; the system may grant less."""
     piece_size: int = 128 * 1024
     """Bytes of the pieces of a large frame, at most; a socket with a small buffer gets smaller ones."""
-    packets_a_pass: int = 64
-    """Most packets of a connection that are read in one pass."""
     slice_ns: int = NS_PER_SECOND // 500
     """ns: most time for reading all connections in one pass of the event loop.
 
@@ -386,7 +384,7 @@ class LocalSockets:
             self._slice_ends_ns = self._now_ns() + SOCKET_LIMITS.slice_ns
             self._loop.call_soon(self._end_slice)
         ends_ns = self._slice_ends_ns
-        for _ in range(SOCKET_LIMITS.packets_a_pass):
+        while True:
             try:
                 packet = connection.socket.recv(SOCKET_LIMITS.buffer_size)
             except (BlockingIOError, InterruptedError):

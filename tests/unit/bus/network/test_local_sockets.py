@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -109,11 +110,12 @@ async def test_large_frames_go_in_pieces(ends, extra):
 
 
 @pytest.mark.parametrize("size", [400_000, 650_000])
+@pytest.mark.parametrize("buffer_size", [30_000, 212_992])
 async def test_large_frames_arrive_where_the_system_grants_small_buffers(
-    ends, monkeypatch, size
+    ends, monkeypatch, size, buffer_size
 ):
-    """A grant of 425984 bytes is usual."""
-    small = replace(SOCKET_LIMITS, buffer_size=212_992)
+    """A grant of 425984 bytes, twice the larger one, is usual."""
+    small = replace(SOCKET_LIMITS, buffer_size=buffer_size)
     monkeypatch.setattr(local_sockets, "SOCKET_LIMITS", small)
     a, b = ends("a"), ends("b")
     await connect(a, b)
@@ -124,14 +126,16 @@ async def test_large_frames_arrive_where_the_system_grants_small_buffers(
         assert b.frames[-1] == ("a", frame)
 
 
-async def test_what_a_process_has_sent_before_its_end_is_read(ends):
+@pytest.mark.parametrize("sends_too_late", [False, True])
+async def test_what_a_process_has_sent_before_its_end_is_read(ends, sends_too_late):
     a, b = ends("a"), ends("b")
     await connect(a, b)
     b.sockets.send("a", VERSION + b"unread")
     for n in range(10):
         a.sockets.send("b", VERSION + bytes([n]))
     a.sockets.close()
-    b.sockets.send("a", VERSION + b"too late")
+    if sends_too_late:
+        b.sockets.send("a", VERSION + b"too late")
     await until(lambda: len(b.frames) == 10)
     await until(lambda: not b.sockets.is_connected("a"))
 
@@ -188,6 +192,8 @@ async def test_silent_connections_do_not_keep_others_out(ends):
             one.connect(b.sockets.address.path)
         await until(lambda: len(b.sockets._strangers) == len(silent))
         await connect(a, b)
+        assert len(b.sockets._strangers) == len(silent) - 1
+        assert silent[0].recv(10) == b"", "the oldest one was closed"
     finally:
         for one in silent:
             one.close()
@@ -257,9 +263,10 @@ async def test_without_free_file_descriptors_the_network_is_used(ends, caplog):
         resource.setrlimit(resource.RLIMIT_NOFILE, (lowest_free, most[1]))
         try:
             a.sockets.reach("b", b.sockets.address)
-            await until(lambda: "no further local sockets" in caplog.text)
+            await until(lambda: not os.access(b.sockets.address.path, os.F_OK))
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, most)
+    assert "no further local sockets" in caplog.text
     assert not a.sockets.is_connected("b")
 
 
@@ -347,11 +354,83 @@ async def test_a_process_of_another_user_is_a_stranger(ends, monkeypatch):
     assert ended.stdout.strip() == "0", ended.stderr
 
 
-@pytest.mark.parametrize("fault", ["machine", "path"])
+async def test_a_reader_may_end_the_connection(ends):
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    b.sockets._receive = lambda process, frame, sent_ns: b.sockets.forget(process)
+    for _ in range(3):
+        a.sockets.send("b", VERSION)
+    await until(lambda: not a.sockets.is_connected("b"))
+    assert b.sockets.counters.broken == 0
+
+
+async def test_a_second_connection_of_a_process_takes_the_place_of_the_first(ends):
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    path = Path(b.sockets.address.path)
+    with local_sockets.connect_to(path, a.sockets.identity):
+        await until(lambda: not a.sockets.is_connected("b"))
+        assert b.sockets.is_connected("a")
+
+
+async def test_pieces_that_do_not_follow_each_other_are_no_frame(ends):
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    raw = a.sockets._connections["b"].socket
+    head = local_sockets.PACKET_HEAD
+    go_on, last = local_sockets.PIECE_MARK, local_sockets.LAST_PIECE_MARK
+    raw.send(head.pack(last, 7, 0) + b"end without a start")
+    raw.send(head.pack(go_on, 0, 0) + b"start")
+    raw.send(head.pack(last, 6, 0) + b"after a gap")
+    raw.send(head.pack(go_on, 0, 0) + b"start without an end")
+    raw.send(head.pack(go_on, 0, 0) + b"a")
+    raw.send(head.pack(last, 1, 0) + b"b")
+    await until(lambda: b.frames)
+    assert b.frames == [("a", b"ab")]
+
+
+async def test_pieces_without_end_take_no_memory(ends):
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    raw = a.sockets._connections["b"].socket
+    raw.setblocking(True)
+    piece = bytes(100_000)
+    for k in range(30):
+        mark = local_sockets.PIECE_MARK
+        head = local_sockets.PACKET_HEAD.pack(mark, k * len(piece), 0)
+        await asyncio.to_thread(raw.send, head + piece)
+    raw.setblocking(False)
+    a.sockets.send("b", VERSION)
+    held = b.sockets._connections["a"].pieces
+    assert len(held) <= FRAME_FORMAT.max_bytes + len(piece)
+    await until(lambda: b.frames)
+
+
+def test_a_network_namespace_of_its_own_is_another_machine():
+    program = (
+        "from crazychoir.bus.network.local_sockets import find_machine; "
+        "print(find_machine())"
+    )
+    alone = subprocess.run(
+        ["unshare", "--net", sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if alone.returncode:
+        pytest.skip(f"no network namespace can be made: {alone.stderr.strip()}")
+    machine = local_sockets.find_machine()
+    assert alone.stdout.strip() not in ("", machine)
+    assert alone.stdout.partition("/")[0] == machine.partition("/")[0]
+
+
+@pytest.mark.parametrize("fault", ["machine", "path", "rename"])
 async def test_without_a_socket_the_network_is_used(ends, monkeypatch, fault, caplog):
     caplog.set_level("INFO")
     if fault == "machine":
         monkeypatch.setattr(local_sockets, "find_machine", lambda: "")
+    elif fault == "rename":
+        monkeypatch.setattr(os, "rename", Mock(side_effect=OSError("no room")))
     else:
         long = Path(os.environ[RUNTIME_VARIABLE]) / ("x" * 100)
         monkeypatch.setattr(local_sockets, "find_socket_path", lambda identity: long)
