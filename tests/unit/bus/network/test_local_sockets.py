@@ -254,6 +254,7 @@ async def test_sockets_of_processes_that_were_killed_are_removed(ends):
 
 async def test_without_free_file_descriptors_the_network_is_used(ends, caplog):
     a, b = ends("a"), ends("b")
+    await asyncio.sleep(0.02)  # b has looked if a is there
     most = resource.getrlimit(resource.RLIMIT_NOFILE)
     lowest_free = os.dup(0)
     os.close(lowest_free)
