@@ -145,8 +145,6 @@ class LocalConnection:
 class SocketCounters:
     """Counts of what did not go or come."""
 
-    full: int = 0
-    """Frames that were dropped because the other process does not read fast enough."""
     broken: int = 0
     """Connections that ended with an error."""
     strangers: int = 0
@@ -336,7 +334,6 @@ class LocalSockets:
             connection.waiting_size
             and connection.waiting_size + len(frame) > SOCKET_LIMITS.most_waiting
         ):
-            self.counters.full += 1
             return False
         for start in range(0, len(frame), size):
             is_last = start + size >= len(frame)

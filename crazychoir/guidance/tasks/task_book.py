@@ -200,21 +200,16 @@ class TaskBook:
 
     def alive(self, members: Collection[int]) -> dict[int, Record]:
         """Return the records of the members that still fly, by robot."""
-        found: dict[int, Record] = {}
-        for i in sorted(members):
-            record = self._newest.get(i)
-            if record is not None and not record.out:
-                found[i] = record
-        return found
+        return {i: record for i, record in self._list_known(members) if not record.out}
 
     def out(self, members: Collection[int]) -> tuple[int, ...]:
         """Return the members that have said that they fly no more."""
-        found: list[int] = []
-        for i in sorted(members):
-            record = self._newest.get(i)
-            if record is not None and record.out:
-                found.append(i)
-        return tuple(found)
+        return tuple(i for i, record in self._list_known(members) if record.out)
+
+    def _list_known(self, members: Collection[int]) -> list[tuple[int, Record]]:
+        """Return (robot, newest record) of the members with a record, by robot."""
+        newest = self._newest
+        return [(i, newest[i]) for i in sorted(members) if i in newest]
 
     def witnesses(
         self, i: int, incarnation: int, number: int, members: Collection[int]
