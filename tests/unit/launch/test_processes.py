@@ -36,6 +36,15 @@ async def child(program):
     )
 
 
+async def handling_child(program, ready):
+    """Start a program that exits with 3 on SIGTERM, and wait until its file `ready` says that it does."""
+    handles = "import signal, time; signal.signal(15, lambda *_: exit(3))"
+    started = await child(f"{handles}; open({str(ready)!r}, 'w').close(); {program}")
+    while not ready.exists():  # noqa: ASYNC110 - of another process
+        await asyncio.sleep(0.01)
+    return started
+
+
 async def said_by(program):
     said = []
     await processes._pass_on_output(await child(program), said.append)
@@ -141,20 +150,20 @@ async def test_a_signal_that_has_ended_a_process_is_named_or_has_a_number(number
 WAITS = "import signal; signal.signal({0}, lambda *_: exit(3)); print('on', flush=True); signal.pause()"
 
 
-@pytest.mark.parametrize(("waiting", "ended"), [(True, [-9, 3]), (False, [-9, 4])])
+@pytest.mark.parametrize(
+    ("waiting", "flies", "ended"),
+    [(True, "time.sleep(60)", [-9, 3]), (False, "time.sleep(0.5); exit(4)", [-9, 4])],
+)
 async def test_a_process_killed_at_the_start_ends_the_wait_of_the_others(
-    tmp_path, monkeypatch, waiting, ended
+    tmp_path, monkeypatch, waiting, flies, ended
 ):
     children, said = [], []
 
     async def spawn(group, path, result, options):
-        flies = "import signal, time; signal.signal(15, lambda *_: exit(3)); time.sleep(0.5); exit(4)"
-        children.append(
-            await child(
-                "import os; os.kill(os.getpid(), 9)" if group == (0,) else flies
-            )
-        )
-        await asyncio.sleep(0.2)
+        if group == (0,):
+            children.append(await child("import os; os.kill(os.getpid(), 9)"))
+        else:
+            children.append(await handling_child(flies, tmp_path / "ready"))
         return children[-1]
 
     monkeypatch.setattr(processes, "_spawn_agent", spawn)
@@ -172,13 +181,13 @@ async def test_a_process_killed_at_the_start_ends_the_wait_of_the_others(
     ) == waiting
 
 
-def world_that(does, monkeypatch):
-    """In place of the world's owner, a program."""
+def world_that(does, monkeypatch, prepares="pass"):
+    """In place of the world's owner, a program that prepares, says that it is there, and does."""
 
     async def start(module, *words):
         assert (module, words[-1]) == ("crazychoir.cli.fly.world", "--child")
         return await child(
-            f"import os, signal, time; print('there', flush=True); {does}"
+            f"import os, signal, time; {prepares}; print('there', flush=True); {does}"
         )
 
     monkeypatch.setattr(processes, "_start_module", start)
@@ -187,16 +196,23 @@ def world_that(does, monkeypatch):
 async def test_the_world_is_there_before_the_agents_and_ends_after_them(
     tmp_path, monkeypatch
 ):
-    order = []
+    order, there = [], asyncio.Event()
 
     async def spawn(group, path, result, options):
         order.append("agent begins")
         write_results(result, {0: {"success": True}})
-        return await child("import time; time.sleep(0.3); print('agent ends')")
+        await there.wait()
+        return await child("print('agent ends')")
+
+    def say(line):
+        order.append(line)
+        if line == "there":
+            there.set()
 
     world_that(
-        "signal.signal(15, lambda *_: exit(print('world ends'))); signal.pause()",
+        "signal.pause()",
         monkeypatch,
+        "signal.signal(15, lambda *_: exit(print('world ends')))",
     )
     monkeypatch.setattr(processes, "_spawn_agent", spawn)
     found = await run_children(
@@ -204,7 +220,7 @@ async def test_the_world_is_there_before_the_agents_and_ends_after_them(
         tmp_path / "s.json",
         default_swarm(1),
         [],
-        order.append,
+        say,
         owners=[WORLD_OWNER],
     )
     assert found == {0: {"success": True}}
@@ -224,17 +240,17 @@ async def test_without_their_world_agents_end_that_do_not_by_themselves(
     tmp_path, monkeypatch, ends, end, orphaned
 ):
     children, said = [], []
+    go = tmp_path / "go"
 
     async def spawn(group, path, result, options):
-        children.append(
-            await child(
-                "import signal, time; signal.signal(15, lambda *_: exit(3)); time.sleep(60)"
-            )
-        )
-        await asyncio.sleep(0.2)
+        children.append(await handling_child("time.sleep(60)", tmp_path / "ready"))
+        asyncio.get_running_loop().call_soon(go.touch)  # when the run knows it
         return children[-1]
 
-    world_that(f"time.sleep(0.5); {ends}", monkeypatch)
+    waits = (
+        f"[time.sleep(0.01) for _ in iter(lambda: os.path.exists({str(go)!r}), True)]"
+    )
+    world_that(f"{waits}; {ends}", monkeypatch)
     monkeypatch.setattr(processes, "_spawn_agent", spawn)
     monkeypatch.setattr(processes, "ORPHAN_GRACE", orphaned)
     await run_children(
@@ -256,14 +272,9 @@ async def test_without_a_dongle_for_good_only_agents_of_its_drones_end(
 
     async def spawn(group, path, result, options):
         seconds = 1.0 if group == (0, 1) else 600.0
-        ends = "signal.signal(15, lambda *_: exit(3))"
-        ready = tmp_path / f"ready{group[0]}"
-        touch = f"open({str(ready)!r}, 'w').close()"
-        children[group] = await child(
-            f"import signal, time; {ends}; {touch}; time.sleep({seconds})"
+        children[group] = await handling_child(
+            f"time.sleep({seconds})", tmp_path / f"ready{group[0]}"
         )
-        while not ready.exists():  # noqa: ASYNC110 - of another process
-            await asyncio.sleep(0.01)
         return children[group]
 
     async def start(module, *words):
