@@ -47,6 +47,9 @@ def make_quiet_highs(seed: int = 0) -> highspy.Highs:
     highs.setOptionValue("threads", 1)
     highs.setOptionValue("random_seed", seed)
     highs.setOptionValue("simplex_iteration_limit", MOST_SIMPLEX_ITERATIONS)
+    # This search for a first solution takes over 1 ms even for five variables; the programs of an
+    # agent are small, and are solved thousands of times.
+    highs.setOptionValue("mip_heuristic_run_feasibility_jump", False)
     return highs
 
 

@@ -52,6 +52,9 @@ class ColumnProgram:
         self._penalty = penalty
         self._where = f"robot {robot}: local problem"
         self._rows = np.unique(table.task)
+        self._unservable = np.setdiff1d(np.arange(len(penalty)), self._rows)
+        self._row_index = np.arange(len(self._rows), dtype=np.int32)
+        self._no_upper_bounds = np.full(len(self._rows), highspy.kHighsInf)
         self._row_of = {int(j): r for r, j in enumerate(self._rows)}
         self._columns: dict[RouteColumn, None] = {RouteColumn(0.0, ()): None}
         self._highs = make_quiet_highs()
@@ -63,20 +66,16 @@ class ColumnProgram:
         count = len(rows)
         if count:
             self._highs.changeRowsBounds(
-                count,
-                np.arange(count, dtype=np.int32),
-                y[rows],
-                np.full(count, highspy.kHighsInf),
+                count, self._row_index, y[rows], self._no_upper_bounds
             )
         solution = self._generate()
         weights = np.array(solution.col_value)
         mu = np.where(y > 0, self._penalty, 0.0)
-        mu[rows] = np.clip(
-            np.array(solution.row_dual)[:count], 0.0, self._penalty[rows]
-        )
+        dual = np.array(solution.row_dual)[:count]
+        mu[rows] = np.minimum(np.maximum(dual, 0.0), self._penalty[rows])
         violation = np.maximum(y, 0.0)
         violation[rows] = weights[:count]
-        unservable = np.setdiff1d(np.arange(len(y)), rows)
+        unservable = self._unservable
         value = self._highs.getObjectiveValue() + float(
             self._penalty[unservable] @ violation[unservable]
         )
