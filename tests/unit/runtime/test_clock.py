@@ -303,14 +303,17 @@ def test_ticks_in_real_time():
     assert seen[-1] == (20 + missed) * 2 * MS
 
 
-def test_an_alarm_that_fails_does_not_stop_the_clock(caplog):
+@pytest.mark.parametrize("run", [run_wall, run_virtual])
+def test_an_alarm_that_fails_does_not_stop_the_clock(run, caplog):
     async def main(clock):
         clock.call_at(clock.now_ns(), lambda: 1 / 0)
+        clock.soon(lambda: [][0])
         await clock.sleep(0.002)
         return True
 
-    assert run_wall(main)
+    assert run(main)
     assert "ZeroDivisionError" in caplog.text
+    assert "IndexError" in caplog.text
 
 
 def test_computing_in_real_time_is_in_a_thread_and_the_loop_goes_on():
@@ -383,3 +386,21 @@ def test_alarms_that_are_late_again_and_again_leave_the_loop_to_others():
         return passes
 
     assert run_wall(main) > 20
+
+
+@virtual
+async def test_a_task_that_sleeps_can_be_cancelled_at_once(clock):
+    seen = []
+
+    async def sleep():
+        try:
+            await clock.sleep(10.0)
+        finally:
+            seen.append(clock.now_ns())
+
+    task = asyncio.create_task(sleep())
+    await clock.sleep(0.15)
+    assert task.cancel()
+    await clock.sleep(1.0)
+    assert task.cancelled()
+    assert seen == [150 * MS]

@@ -101,4 +101,4 @@ async def test_no_alarm_is_left_when_no_actor_is_left(clock):
     await clock.sleep(0.1)
     running.cancel()
     await asyncio.wait([running])
-    assert clock._next() is None
+    assert all(alarm.cancelled() for *_, alarm in clock._heap)
