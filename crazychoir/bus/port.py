@@ -12,7 +12,12 @@ from typing import Any, Protocol
 
 from crazychoir.bus.clock_offset import OffsetEstimate
 from crazychoir.bus.codec import decode, encode
-from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.impairment.model import (
+    LOST_MESSAGE,
+    UNDELAYED_MESSAGE,
+    Impairment,
+    MessageFate,
+)
 from crazychoir.bus.topics import (
     MESSAGE_TOPICS,
     REQUESTED_TOPICS,
@@ -484,17 +489,30 @@ class Port:
             if j < PORT_ADDRESSES.first_observer:
                 sent += 1
                 if impaired:
-                    self._send_impaired(
-                        topic, j, payload, number, channel, flags, attempt, age
+                    fate = bus.impairment.verdict(
+                        self.address,
+                        j,
+                        channel or topic.name,
+                        number,
+                        attempt,
+                        len(payload),
+                        self._now_ns() / NS_PER_SECOND,
                     )
-                    continue
+                    if fate is LOST_MESSAGE:
+                        self.counters.lost += 1
+                        continue
+                    if fate is not UNDELAYED_MESSAGE:
+                        self._deliver_late(
+                            fate, topic, j, payload, number, channel, flags, age
+                        )
+                        continue
             port = ports.get(j)
             if port is not None:
                 port.deliver(
                     topic.number, self.address, payload, number, channel, flags, age
                 )
-            elif bus.forwarder is None:
-                bus.unroutable += 1
+            else:
+                self._forward(topic, [j], payload, number, channel, flags, age)
         self.counters.sent += sent if topic.impaired else 0
         self.counters.bytes += sent * len(payload)
 
@@ -629,40 +647,32 @@ class Port:
             readers.drop(addresses)
         self.bus.note_reader_change()
 
-    def _send_impaired(
+    def _deliver_late(
         self,
+        fate: MessageFate,
         topic: Topic,
         j: int,
         payload: bytes,
         number: int,
         channel: str,
         flags: int,
-        attempt: int,
         age: float,
     ) -> None:
-        """Send to drone j through the simulated network, which
-        may lose, delay or duplicate the message.
-        """
-        bus = self.bus
-        lane = channel or topic.name
-        verdict = bus.impairment.verdict(
-            self.address, j, lane, number, attempt, len(payload), bus.clock.now()
-        )
-        if not verdict.deliveries:
-            self.counters.lost += 1
-        for delay in verdict.deliveries:
+        """Deliver each copy of a message to drone j after its delay in the simulated network."""
+        clock = self.bus.clock
+        now_ns = self._now_ns()
+        for delay in fate.deliveries:
+            arguments = (topic, j, payload, number, channel, flags, age + delay)
             if delay > 0.0:
-                when_ns = bus.clock.now_ns() + round(delay * NS_PER_SECOND)
-                arguments = (topic, j, payload, number, channel, flags, age + delay)
-                bus.clock.call_at(
-                    when_ns,
+                clock.call_at(
+                    now_ns + round(delay * NS_PER_SECOND),
                     self._arrive,
                     *arguments,
                     priority=AlarmPriority.MESSAGE,
                     drone=j,
                 )
             else:
-                self._arrive(topic, j, payload, number, channel, flags, age)
+                self._arrive(*arguments)
 
     def _arrive(
         self,
