@@ -502,9 +502,8 @@ class Port:
                         self.counters.lost += 1
                         continue
                     if fate is not UNDELAYED_MESSAGE:
-                        self._deliver_late(
-                            fate, topic, j, payload, number, channel, flags, age
-                        )
+                        message = payload, number, channel, flags
+                        self._deliver_late(fate, topic, j, message, age)
                         continue
             port = ports.get(j)
             if port is not None:
@@ -648,21 +647,16 @@ class Port:
         self.bus.note_reader_change()
 
     def _deliver_late(
-        self,
-        fate: MessageFate,
-        topic: Topic,
-        j: int,
-        payload: bytes,
-        number: int,
-        channel: str,
-        flags: int,
-        age: float,
+        self, fate: MessageFate, topic: Topic, j: int, message: Any, age: float
     ) -> None:
-        """Deliver each copy of a message to drone j after its delay in the simulated network."""
+        """Deliver each copy of a message to drone j after its delay in the simulated network.
+
+        message: (payload, number, channel, flags)
+        """
         clock = self.bus.clock
         now_ns = self._now_ns()
         for delay in fate.deliveries:
-            arguments = (topic, j, payload, number, channel, flags, age + delay)
+            arguments = (topic, j, *message, age + delay)
             if delay > 0.0:
                 clock.call_at(
                     now_ns + round(delay * NS_PER_SECOND),

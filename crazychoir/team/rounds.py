@@ -46,7 +46,9 @@ from crazychoir.team.message_kind import (
     NO_MESSAGE,
     REPEAT_KIND,
     MessageKind,
+    flag_ask,
     is_sent_again,
+    read_ask,
 )
 from crazychoir.team.messages import Roster
 from crazychoir.types import Failure
@@ -378,7 +380,7 @@ class Rounds:
                 return
             ch = self._channels[channel]
             if kind > ANSWER_KIND:
-                self._controlled(ch, kind, source, number)
+                self._controlled(ch, kind, source, number, read_ask(flags))
                 return
         peers = ch.peers
         latest = peers.latest.get(source)
@@ -392,7 +394,9 @@ class Rounds:
             if kind <= REPEAT_KIND:
                 peers.progress[source] = number
         if kind == REPEAT_KIND:
-            self._answer(ch, number, source)
+            self._answer(ch, number, source, read_ask(flags))
+        elif kind == ANSWER_KIND:
+            ch.wait.expected.learn_answer(read_ask(flags), self._now_ns())
         k = ch.receiving
         inbox = ch.inbox
         if k <= number < k + ROUND_WINDOW.kept_rounds:
@@ -451,8 +455,8 @@ class Rounds:
             age = (self.port.heard_ns[source] - born_ns) / NS_PER_SECOND
             self._arrived(source, payload, number, channel, flags, age)
 
-    def _answer(self, ch: Channel, number: int, source: int) -> None:
-        """Answer a repeated round.
+    def _answer(self, ch: Channel, number: int, source: int, ask: int) -> None:
+        """Answer a repeated round, and repeat the number of the ask.
 
         The source lacks our message of that round, or it does not know that we have read its own.
         If the round comes after our end of the channel, answer that we have ended.
@@ -460,11 +464,11 @@ class Rounds:
         if number >= ch.sending:
             self._farewell(ch, number, source)
             return
-        self._serve(ch, number, source)
+        self._serve(ch, number, source, ask)
         if number + 1 < ch.receiving or not ch.reads(number, source):
             self._control(ch, MessageKind.CREDIT, (source,), ch.receiving, ch.answers)
 
-    def _serve(self, ch: Channel, number: int, source: int) -> None:
+    def _serve(self, ch: Channel, number: int, source: int, ask: int) -> None:
         """Send a round again.
 
         A round that is no longer kept was read by all members of its epoch. The source did not
@@ -474,7 +478,8 @@ class Rounds:
         if ch.joinable and number < ch.oldest:
             self._control(ch, MessageKind.GONE, (source,), ch.oldest, ch.answers)
         else:
-            self._again(ch, number, source, 2 * ch.answers + 1, MessageKind.ANSWER)
+            kind = ANSWER_KIND | flag_ask(ask)
+            self._again(ch, number, source, 2 * ch.answers + 1, kind)
 
     def _skip(self, ch: Channel, number: int, source: int) -> None:
         """Stop waiting for the rounds of source before `number`.
@@ -504,7 +509,9 @@ class Rounds:
                 FIRST_UNASKED_ATTEMPT + ch.told,
             )
 
-    def _controlled(self, ch: Channel, kind: int, source: int, number: int) -> None:
+    def _controlled(
+        self, ch: Channel, kind: int, source: int, number: int, ask: int
+    ) -> None:
         """Take a message without content: WANT, CREDIT, FIN, FIN_TOO or GONE."""
         if kind == MessageKind.GONE:
             self._skip(ch, number, source)
@@ -521,7 +528,7 @@ class Rounds:
         )
         if kind == MessageKind.WANT:
             self._farewell(ch, number, source)
-            self._serve(ch, number, source)
+            self._serve(ch, number, source, ask)
         wake_if(ch.gate)
 
     # Waiting channels ----------------------------------------------------------------
@@ -641,18 +648,19 @@ class Rounds:
         wait.note_resend(now_ns)
         k = ch.receiving
         for j in list(wait.missing):
+            ask = flag_ask(wait.expected.ask(now_ns))
             if ch.reads(k - 1, j):
                 self._again(
                     ch,
                     k - 1,
                     j,
                     FIRST_UNASKED_ATTEMPT + wait.attempt,
-                    MessageKind.ANSWER,
+                    ANSWER_KIND,
                 )
             if ch.reads(k, j):
-                self._again(ch, k, j, 2 * wait.attempt, MessageKind.REPEAT)
+                self._again(ch, k, j, 2 * wait.attempt, REPEAT_KIND | ask)
             else:
-                self._control(ch, MessageKind.WANT, (j,), k, wait.attempt)
+                self._control(ch, MessageKind.WANT | ask, (j,), k, wait.attempt)
 
 
 def is_waiting(wait: RoundWait) -> bool:

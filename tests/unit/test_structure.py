@@ -54,7 +54,6 @@ LARGE_CLASSES = {
 WIDE_FUNCTIONS = {
     "Forwarder.forward",
     "Pilot.__init__",
-    "Port._send_impaired",
     "Port.send",
     "Recorder._count",
     "Recorder._rounds",
