@@ -2,6 +2,7 @@
 
 import asyncio
 import math
+from collections import Counter
 from itertools import combinations
 from typing import Any
 
@@ -78,6 +79,7 @@ class Invariants(Actor):
         """s: when the mission of each drone ended."""
         self.served: dict[tuple[int, str], float] = {}
         """{(task, kind): s, when its drone noted that it has done this}."""
+        self._served_by = Counter[int]()
         self._said: dict[Any, None] = {}
         self._low = agent.config.fence.min
         self._high = agent.config.fence.max
@@ -101,16 +103,16 @@ class Invariants(Actor):
             self.began = now
         if now - self.began > self.until:
             self._end(now)
-        for i in agent.ids:
-            if not all(map(math.isfinite, p[i])):
-                place = np.array(p[i])
-                self._wrong(("nowhere", i), f"drone {i} is at {place} at {now:.2f} s")
-        for i in agent.ids:
-            if agent.drones[i].result:
+        if not math.isfinite(sum(map(sum, p.values()))):
+            self._find_nowhere(p, now)
+        for i, drone in agent.drones.items():
+            if drone.result:
                 self.ended.setdefault(i, now)
-            service = getattr(agent.drones[i].guidance, "service", None)
-            for stop in service.served if service else []:
-                self.served.setdefault((stop["task"], stop["kind"]), now)
+            service = getattr(drone.guidance, "service", None)
+            if service is not None and len(service.served) != self._served_by[i]:
+                self._served_by[i] = len(service.served)
+                for stop in service.served:
+                    self.served.setdefault((stop["task"], stop["kind"]), now)
         self.report.checks += len(up)
         for i in up:
             unseen = now - self.seen.get(i, now)
@@ -141,6 +143,12 @@ class Invariants(Actor):
                 f"drone {self.alone}, cut off for good, still waits at {now:.2f} s",
             )
         self.agent.land_all("the scenario is over")
+
+    def _find_nowhere(self, p: dict[int, list[float]], now: float) -> None:
+        """Report each drone whose place is not finite."""
+        for i, place in p.items():
+            if not all(map(math.isfinite, place)):
+                self._wrong(("nowhere", i), f"drone {i} is at {place} at {now:.2f} s")
 
     def _check_fence(self, i: int, p: list[float], unseen: float, now: float) -> None:
         """Check that drone i at p, (3,) m, is inside the fence, or its motors are cut; unseen: s without a pose."""
