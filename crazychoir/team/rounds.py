@@ -147,6 +147,7 @@ class Rounds:
         self._heard_ns = port.heard_ns
         self._made_ns = self._now_ns()
         self._channels: dict[str, Channel] = {}
+        self._waiting: list[Channel] = []
         self._early: deque[tuple[int, bytes, int, str, int, int]] = deque(
             maxlen=ROUND_LIMITS.max_early_messages
         )
@@ -551,6 +552,7 @@ class Rounds:
             )
         waiter = self._clock.future()
         wait.waiter = waiter
+        self._waiting.append(ch)
         epochs = self._epochs
         if epochs.gaps or ch.peers.kept:
             k = ch.receiving if ch.joinable else inf
@@ -577,6 +579,7 @@ class Rounds:
 
     def _expected(self, ch: Channel) -> None:
         """Learn from the end of a wait."""
+        self._waiting.remove(ch)
         ch.wait.end(self._now_ns())
 
     def _check_at(self, due_ns: int) -> None:
@@ -594,7 +597,7 @@ class Rounds:
         """
         self._alarm = None
         now_ns = self._now_ns()
-        for ch in list(self._channels.values()):
+        for ch in self._waiting:
             if is_waiting(ch.wait):
                 ch.wait.plan_resend()
                 self._check_wait(ch, now_ns)

@@ -304,8 +304,9 @@ class _ImpairedEdge:
 
         The result is -1 if a partition or a full queue stops the message.
         """
-        if any(since <= age < until for since, until in self.cuts):
-            return -1.0
+        for since, until in self.cuts:
+            if since <= age < until:
+                return -1.0
         if self.link.bandwidth <= 0.0:
             return 0.0
         queued = max(self.free_at - now, 0.0)
@@ -319,13 +320,15 @@ class _ImpairedEdge:
         copy, by delay, jitter and reordering.
         """
         link = self.link
-        first, second = divmod(
-            draw(lane ^ IMPAIRMENT_DRAWS.delay_salt, number, attempt),
-            IMPAIRMENT_DRAWS.half_range,
-        )
-        delay = wait + link.delay + link.jitter * (first / IMPAIRMENT_DRAWS.half_range)
-        if second < link.reorder * IMPAIRMENT_DRAWS.half_range:
-            delay += link.reorder_delay
+        delay = wait + link.delay
+        if link.jitter > 0.0 or link.reorder > 0.0:
+            first, second = divmod(
+                draw(lane ^ IMPAIRMENT_DRAWS.delay_salt, number, attempt),
+                IMPAIRMENT_DRAWS.half_range,
+            )
+            delay += link.jitter * (first / IMPAIRMENT_DRAWS.half_range)
+            if second < link.reorder * IMPAIRMENT_DRAWS.half_range:
+                delay += link.reorder_delay
         self.counters.delayed += delay > 0.0
         if link.duplicate <= 0.0:
             return MessageFate((delay,))

@@ -79,11 +79,9 @@ class ColumnProgram:
         value = self._highs.getObjectiveValue() + float(
             self._penalty[unservable] @ violation[unservable]
         )
-        active = [
-            c
-            for c, w in zip(self._columns, weights[count:], strict=True)
-            if w > COLUMN_TOLERANCE and c.tasks
-        ]
+        columns = list(self._columns)
+        used = np.flatnonzero(weights[count:] > COLUMN_TOLERANCE)
+        active = [columns[c] for c in used.tolist() if columns[c].tasks]
         return LocalSolution(value, mu, violation, active)
 
     def _build(self) -> None:
