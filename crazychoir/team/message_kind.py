@@ -11,9 +11,11 @@ from bisect import bisect_right
 from enum import IntEnum
 from typing import Final
 
+from crazychoir.errors import CodecError
+
 
 class MessageKind(IntEnum):
-    """The kind of a message. The kinds above ANSWER have no content."""
+    """The kind of a message. The kinds above DOUBLE have no content."""
 
     DATA = 0
     """A round's message; the sender has finished all rounds before it."""
@@ -23,15 +25,17 @@ class MessageKind(IntEnum):
     """A round's message that says nothing about the sender's progress."""
     ANSWER = 3
     """A round's message again, for a drone that may lack it; says nothing about the progress."""
-    WANT = 4
+    DOUBLE = 4
+    """A REPEAT of this round and an ANSWER of the round before, in one message."""
+    WANT = 5
     """The sender lacks our message of this round."""
-    CREDIT = 5
+    CREDIT = 6
     """The sender has finished all rounds before this one."""
-    FIN = 6
+    FIN = 7
     """The sender has finished the channel."""
-    FIN_TOO = 7
+    FIN_TOO = 8
     """The sender has finished the channel and asks if we have too."""
-    GONE = 8
+    GONE = 9
     """The sender no longer has the rounds before this one."""
 
 
@@ -69,11 +73,36 @@ AHEAD_KIND: Final = int(MessageKind.AHEAD)
 """`MessageKind.AHEAD` as a plain int."""
 ANSWER_KIND: Final = int(MessageKind.ANSWER)
 """`MessageKind.ANSWER` as a plain int."""
+DOUBLE_KIND: Final = int(MessageKind.DOUBLE)
+"""`MessageKind.DOUBLE` as a plain int."""
 
+LENGTH_SIZE: Final = 4
+"""Bytes of the length of the first content of a DOUBLE."""
 LAST_KIND: Final = int(MessageKind.GONE)
 """Largest number of a kind."""
 NO_MESSAGE: Final = LAST_KIND
 """Flags that stand for the absence of a message with content."""
+
+
+def join_contents(own: bytes, before: bytes) -> bytes:
+    """Return the content of a DOUBLE.
+
+    own: content of its round
+    before: content of the round before
+    """
+    return len(own).to_bytes(LENGTH_SIZE, "little") + own + before
+
+
+def split_contents(content: bytes) -> tuple[bytes, bytes]:
+    """Return the contents of the round of a DOUBLE, and of the round before.
+
+    Raises CodecError if it is shorter than it says.
+    """
+    own = LENGTH_SIZE + int.from_bytes(content[:LENGTH_SIZE], "little")
+    if len(content) < own:
+        where = "message of two rounds"
+        raise CodecError(f"{where}: {len(content)} bytes; allowed: at least {own}.")
+    return content[LENGTH_SIZE:own], content[own:]
 
 
 def is_sent_again(flags: int) -> bool:

@@ -40,6 +40,8 @@ from crazychoir.team.graph import Graph
 from crazychoir.team.message_kind import (
     ANSWER_KIND,
     DATA_KIND,
+    DELAY_MASK,
+    DOUBLE_KIND,
     EPOCH_SHIFT,
     KIND_MASK,
     LAST_KIND,
@@ -48,7 +50,9 @@ from crazychoir.team.message_kind import (
     MessageKind,
     flag_ask,
     is_sent_again,
+    join_contents,
     read_ask,
+    split_contents,
 )
 from crazychoir.team.messages import Roster
 from crazychoir.types import Failure
@@ -72,6 +76,8 @@ class RoundLimits:
     """Largest payload of a message for a channel or an epoch that this drone does not have yet; a
     larger one is not kept, and its sender resends it.
     """
+    max_double_bytes: int = 1024
+    """Most bytes of two rounds that are sent again in one message."""
     first_refused_round: int = 1 << 48
     """First round number that is refused as malformed."""
 
@@ -334,16 +340,22 @@ class Rounds:
         """Resend our message of round k to j, if it is kept."""
         payload = ch.stored(k, j)
         if payload is not None:
-            self.port.counters.resent += 1
-            self.port.send(
-                MESSAGE_TOPICS.rounds,
-                (j,),
-                payload,
-                k,
-                ch.name,
-                self._flags | kind,
-                attempt,
-            )
+            self._resend_content(ch, k, j, payload, attempt, kind)
+
+    def _resend_content(
+        self, ch: Channel, k: int, j: int, payload: bytes, attempt: int, kind: int
+    ) -> None:
+        """Resend this content, which is our message of round k, to j."""
+        self.port.counters.resent += 1
+        self.port.send(
+            MESSAGE_TOPICS.rounds,
+            (j,),
+            payload,
+            k,
+            ch.name,
+            self._flags | kind,
+            attempt,
+        )
 
     def _control(
         self, ch: Channel, kind: int, to: tuple[int, ...], k: int, attempt: int = 0
@@ -380,7 +392,10 @@ class Rounds:
             if not self._counts(ch, source, payload, number, channel, flags, age):
                 return
             ch = self._channels[channel]
-            if kind > ANSWER_KIND:
+            if kind == DOUBLE_KIND:
+                self._take_double(source, payload, number, channel, flags, age)
+                return
+            if kind > DOUBLE_KIND:
                 self._controlled(ch, kind, source, number, read_ask(flags))
                 return
         peers = ch.peers
@@ -421,6 +436,27 @@ class Rounds:
             self.ahead += 1
         elif ch.wait.repeated and not is_sent_again(flags):
             ch.wait.take_original(source, number)
+
+    def _take_double(
+        self,
+        source: int,
+        payload: bytes,
+        number: int,
+        channel: str,
+        flags: int,
+        age: float,
+    ) -> None:
+        """Take a message of two rounds as two messages."""
+        try:
+            own, before = split_contents(payload)
+        except CodecError:
+            self.port.counters.malformed += 1
+            return
+        epoch = flags & ~DELAY_MASK
+        answer = epoch | ANSWER_KIND
+        repeat = flags ^ DOUBLE_KIND ^ REPEAT_KIND
+        self._arrived(source, before, max(number - 1, 0), channel, answer, age)
+        self._arrived(source, own, number, channel, repeat, age)
 
     def _counts(
         self,
@@ -645,23 +681,29 @@ class Rounds:
         """Resend our message of this round and of the one before to every missing neighbour.
 
         A missing neighbour may have sent its message of this round and lost it, or may lack ours of
-        the round before.
+        the round before. If both are small, they go in one message.
         """
         wait = ch.wait
         wait.note_resend(now_ns)
         k = ch.receiving
         for j in list(wait.missing):
             ask = flag_ask(wait.expected.ask(now_ns))
-            if ch.reads(k - 1, j):
-                self._again(
-                    ch,
-                    k - 1,
-                    j,
-                    FIRST_UNASKED_ATTEMPT + wait.attempt,
-                    ANSWER_KIND,
-                )
-            if ch.reads(k, j):
-                self._again(ch, k, j, 2 * wait.attempt, REPEAT_KIND | ask)
+            own = ch.stored(k, j) if ch.reads(k, j) else None
+            before = ch.stored(k - 1, j) if ch.reads(k - 1, j) else None
+            if (
+                own is not None
+                and before is not None
+                and len(own) + len(before) <= ROUND_LIMITS.max_double_bytes
+            ):
+                both = join_contents(own, before)
+                kind = DOUBLE_KIND | ask
+                self._resend_content(ch, k, j, both, 2 * wait.attempt, kind)
+                continue
+            if before is not None:
+                attempt = FIRST_UNASKED_ATTEMPT + wait.attempt
+                self._resend_content(ch, k - 1, j, before, attempt, ANSWER_KIND)
+            if own is not None:
+                self._resend_content(ch, k, j, own, 2 * wait.attempt, REPEAT_KIND | ask)
             else:
                 self._control(ch, MessageKind.WANT | ask, (j,), k, wait.attempt)
 

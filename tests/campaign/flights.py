@@ -145,7 +145,7 @@ class Invariants(Actor):
         self.agent.land_all("the scenario is over")
 
     def _find_nowhere(self, p: dict[int, list[float]], now: float) -> None:
-        """Report each drone whose place is not finite."""
+        """Report each drone at a place that is not finite."""
         for i, place in p.items():
             if not all(map(math.isfinite, place)):
                 self._wrong(("nowhere", i), f"drone {i} is at {place} at {now:.2f} s")

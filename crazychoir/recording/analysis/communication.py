@@ -25,7 +25,7 @@ class MessageStatistics:
     rate_step: float = 0.5
     """Seconds between two values of the message rates."""
     kinds_with_content: tuple[str, ...] = tuple(
-        kind.name.lower() for kind in MessageKind if kind <= MessageKind.ANSWER
+        kind.name.lower() for kind in MessageKind if kind <= MessageKind.DOUBLE
     )
     """Kinds of round messages with a value."""
 

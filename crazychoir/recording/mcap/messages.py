@@ -21,7 +21,12 @@ from crazychoir.recording.mcap.cdr import Layout, Leaf, leaves, schema
 from crazychoir.recording.mcap.definitions import MESSAGE_DEFINITIONS
 from crazychoir.recording.mcap.odometry import odometry_numbers, state_of
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.team.message_kind import EPOCH_SHIFT, KIND_MASK, MessageKind
+from crazychoir.team.message_kind import (
+    EPOCH_SHIFT,
+    KIND_MASK,
+    MessageKind,
+    split_contents,
+)
 from crazychoir.types import (
     FPQR,
     FRPY,
@@ -133,11 +138,14 @@ def in_json(value: Any) -> str:
 def round_fields(message: Exchanged) -> tuple[Any, ...]:
     """Return the fields of crazychoir_msgs/Round."""
     to, k, flags, channel, payload = message
+    kind = flags & KIND_MASK
+    if kind == MessageKind.DOUBLE:
+        payload, _ = split_contents(payload)
     return (
         to,
         k,
         flags >> EPOCH_SHIFT,
-        KIND_NAMES.get(flags & KIND_MASK, f"kind {flags & KIND_MASK}"),
+        KIND_NAMES.get(kind, f"kind {kind}"),
         channel,
         _content(payload),
     )

@@ -1,6 +1,7 @@
 """The verbs over good and bad networks, in virtual time: the answer may not depend on the network."""
 
 import asyncio
+from collections import Counter
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -27,7 +28,12 @@ from crazychoir.team.algorithm_run import run_algorithm
 from crazychoir.team.channel import ROUND_WINDOW
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph, GraphSequence, metropolis
-from crazychoir.team.message_kind import EPOCH_SHIFT, KIND_MASK, MessageKind
+from crazychoir.team.message_kind import (
+    EPOCH_SHIFT,
+    KIND_MASK,
+    MessageKind,
+    join_contents,
+)
 from crazychoir.team.rounds import (
     FAILURE_CHANNEL,
     LONGEST_UNCHECKED,
@@ -942,6 +948,62 @@ def test_messages_of_unknown_kinds_are_dropped(kind):
         return c.port.counters.malformed
 
     assert swarm(graphs.path(2), agent) == {0: 1, 1: 0}
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\x05", (9).to_bytes(4, "little") + b"12345678"]
+)
+def test_a_message_of_two_rounds_that_is_too_short_is_dropped(content):
+    async def agent(c: Communicator) -> int:
+        if c.id == 1:
+            kind = MessageKind.DOUBLE
+            c.port.send(MESSAGE_TOPICS.rounds, (0,), content, 5, "main", kind)
+        assert await c.neighbors_exchange(c.id) == {1 - c.id: 1 - c.id}
+        assert list(c.open("main").inbox) == []
+        return c.port.counters.malformed
+
+    assert swarm(graphs.path(2), agent) == {0: 1, 1: 0}
+
+
+def test_a_message_of_two_rounds_brings_both():
+    async def agent(c: Communicator) -> list[Any]:
+        if c.id == 1:
+            both = join_contents(encode("new"), encode("old"))
+            kind = MessageKind.DOUBLE
+            c.port.send(MESSAGE_TOPICS.rounds, (0,), both, 1, "main", kind)
+            return []
+        return [await c.receive() for _ in range(2)]
+
+    assert swarm(graphs.path(2), agent)[0] == [{1: "old"}, {1: "new"}]
+
+
+@pytest.mark.parametrize("size", [ROUND_LIMITS.max_double_bytes // 2 - 8, 2000])
+def test_two_rounds_are_sent_again_in_one_message_if_they_are_small(size):
+    kinds = Counter[int]()
+
+    async def agent(c: Communicator) -> None:
+        send = c.port.send
+
+        def counted(topic, to, payload, number=0, channel="", flags=0, *more):
+            kinds[flags & KIND_MASK] += len(to)
+            # The other drone misses the first copies of the second round.
+            if number != 1 or flags & KIND_MASK != MessageKind.DATA:
+                send(topic, to, payload, number, channel, flags, *more)
+
+        c.port.send = counted  # type: ignore[method-assign, assignment]
+        for k in range(2):
+            found = await c.neighbors_exchange(bytes([c.id, k]) + bytes(size))
+            assert {j: value[:2] for j, value in found.items()} == {
+                1 - c.id: bytes([1 - c.id, k])
+            }
+
+    swarm(graphs.path(2), agent)
+    if size < 1000:
+        assert kinds[MessageKind.DOUBLE] > 0
+        assert kinds[MessageKind.REPEAT] == 0
+    else:
+        assert kinds[MessageKind.DOUBLE] == 0
+        assert kinds[MessageKind.REPEAT] > 0
 
 
 def test_one_channel_cannot_be_awaited_twice():

@@ -33,7 +33,7 @@ from crazychoir.recording.mcap.messages import (
     Exchanged,
     make_packer,
 )
-from crazychoir.team.message_kind import MessageKind
+from crazychoir.team.message_kind import MessageKind, join_contents
 from crazychoir.types import Status
 
 BEGAN = 5.0
@@ -272,8 +272,9 @@ def test_what_has_no_content_is_no_message_of_a_round(recorded):
         (0, MessageKind.REPEAT, encode(1.0)),
         (1, MessageKind.AHEAD, encode(3.0)),
         (2, MessageKind.ANSWER, encode(2.0)),
-        (3, MessageKind.WANT, b""),
-        (4, MessageKind.FIN, b""),
+        (3, MessageKind.DOUBLE, join_contents(encode(2.0), encode(9.0))),
+        (4, MessageKind.WANT, b""),
+        (5, MessageKind.FIN, b""),
     ]
     path = recorded(
         [

@@ -18,7 +18,7 @@ from crazychoir.recording.mcap.messages import (
     make_packer,
     usual_type,
 )
-from crazychoir.team.message_kind import EPOCH_SHIFT, MessageKind
+from crazychoir.team.message_kind import EPOCH_SHIFT, MessageKind, join_contents
 from crazychoir.types import (
     FPQR,
     FRPY,
@@ -216,7 +216,11 @@ def test_message_of_a_round():
     assert sent(message) == {"header": HEADER, **expected}
     assert sent(message._replace(payload=b"", flags=MessageKind.GONE))["json"] == ""
     assert sent(message._replace(flags=MessageKind.GONE))["kind"] == "gone"
-    assert sent(message._replace(flags=9))["kind"] == "kind 9"
+    assert sent(message._replace(flags=15))["kind"] == "kind 15"
+    two_rounds = join_contents(message.payload, encode({"x": np.arange(3.0)}))
+    double = message._replace(flags=MessageKind.DOUBLE, payload=two_rounds)
+    assert sent(double)["kind"] == "double"
+    assert sent(double)["json"] == expected["json"]
 
 
 def test_definitions_are_those_of_ros_where_they_bear_its_name():
