@@ -7,6 +7,7 @@ import json
 import math
 import tomllib
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import msgspec
@@ -125,7 +126,7 @@ def read_table(
             f"a table with {_names(kind)}",
             not_a_table(raw, key),
         )
-    fields = {entry.encode_name: entry for entry in msgspec.structs.fields(kind)}
+    fields = _find_keys(kind)
     for name, value in raw.items():
         if name not in fields:
             raise _unknown(name, value, kind, where, key, file)
@@ -143,6 +144,12 @@ def read_table(
             for name, value in raw.items()
         }
     )
+
+
+@lru_cache(maxsize=64)
+def _find_keys(kind: type[msgspec.Struct]) -> dict[str, FieldInfo]:
+    """Return {key: field} of a table; to evaluate its annotations takes long."""
+    return {entry.encode_name: entry for entry in msgspec.structs.fields(kind)}
 
 
 def show_value(value: object) -> str:

@@ -260,6 +260,8 @@ class Channel:
         Their message will never come. A neighbour is left out if we closed the channel at the same
         round or later and continued, because it may continue too.
         """
+        if not self.peers.finished:
+            return {}
         found = {
             j: self.peers.finished[j]
             for j in self.wait.missing

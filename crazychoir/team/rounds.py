@@ -670,6 +670,8 @@ class Rounds:
     def _failure(self, missing: Iterable[int]) -> Failure | None:
         """Return the Failure that the first of these drones has sent on FAILURE_CHANNEL, or None."""
         said = self._channels[FAILURE_CHANNEL].peers.latest
+        if not said:
+            return None
         for j in missing:
             if j in said:
                 with contextlib.suppress(CodecError):

@@ -42,14 +42,12 @@ class Way:
 
     def forward(self, topic: Topic, source: int, to: list[int], *message: Any) -> None:
         for j in to:
-            ports = [
-                bus.ports[j]
-                for bus in self.hosts
-                if bus is not self.own and j in bus.ports
-            ]
-            for port in ports:
-                port.deliver(topic.number, source, *message)
-            self.own.unroutable += not ports
+            is_there = False
+            for bus in self.hosts:
+                if j in bus.ports and bus is not self.own:
+                    is_there = True
+                    bus.ports[j].deliver(topic.number, source, *message)
+            self.own.unroutable += not is_there
 
     def then(self, work: Callable[[], None]) -> None:
         self.own.clock.soon(work)
