@@ -171,9 +171,13 @@ class RunningLaw:
         Its errors end the law. They do not end the tick, because the tick belongs to other drones
         too.
         """
+        watchdog = self._member.watchdog
         try:
-            with self.guard():
+            if watchdog is None:
                 reference = self.law.step(me, heard)
+            else:
+                with watchdog.guard(self._actor):
+                    reference = self.law.step(me, heard)
         except KeyboardInterrupt:
             raise
         except BaseException as error:  # noqa: BLE001 - run_law raises it

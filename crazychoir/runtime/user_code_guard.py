@@ -74,10 +74,12 @@ class HangWatch:
         actor: name for reports
         patient: True for `mission_limit`, False for `step_limit`
         """
-        return self.within(
-            USER_CODE_TIMES.mission_limit if patient else USER_CODE_TIMES.step_limit,
-            actor,
+        guard = self._guard
+        guard.actor = actor
+        guard.limit = (
+            USER_CODE_TIMES.mission_limit if patient else USER_CODE_TIMES.step_limit
         )
+        return guard
 
     def within(self, seconds: float, actor: str) -> InterruptGuard:
         """Return a context in which code is interrupted by Hung after so many seconds.
