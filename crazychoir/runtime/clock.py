@@ -54,7 +54,7 @@ class AlarmPriority(IntEnum):
 class Alarm:
     """A callback that waits to be called, on the heap of a clock or in its loop.
 
-    It has the attributes of asyncio's Handle, which takes twice as long to make.
+    It takes the place of asyncio's Handle, which takes twice as long to make.
     """
 
     __slots__ = ("_args", "_callback", "_cancelled", "_context")
@@ -71,8 +71,10 @@ class Alarm:
         self._cancelled = False
 
     def cancel(self) -> None:
-        """Do not call the callback."""
+        """Do not call the callback, and forget it: the alarm stays on the heap until it is due."""
         self._cancelled = True
+        self._callback = _do_nothing
+        self._args = ()
 
     def cancelled(self) -> bool:
         """Return whether the alarm was cancelled."""
@@ -80,6 +82,10 @@ class Alarm:
 
     def __repr__(self) -> str:
         return f"<Alarm {self._callback!r}>"
+
+
+def _do_nothing() -> None:
+    """Take the place of a callback that was cancelled."""
 
 
 def thread_seconds(thread: int) -> float:
@@ -208,11 +214,16 @@ class ClockWait:
         self.priority = priority
         self.drone = drone
         self._cancelled = False
+        self._message: Any = None
 
     def __await__(self) -> Generator["ClockWait", None, int]:
         self._asyncio_future_blocking = True
         self._cancelled = False
-        yield self
+        try:
+            yield self
+        finally:
+            # The alarm knows this object: without it the task can be freed at once.
+            del self._alarm
         return self.due_ns
 
     # The protocol of a future: asyncio's Task calls these.
@@ -236,15 +247,17 @@ class ClockWait:
         if self._cancelled:
             return False
         self._cancelled = True
-        alarm = self._alarm
-        alarm.cancel()
-        self.clock._loop.call_soon(alarm._callback, self, context=alarm._context)
+        self._message = msg
+        wakeup = self._alarm._callback
+        context = self._alarm._context
+        self._alarm.cancel()
+        self.clock._loop.call_soon(wakeup, self, context=context)
         return True
 
     def result(self) -> None:
         """Return None to the task that wakes up; raise CancelledError if the wait was cancelled."""
         if self._cancelled:
-            raise asyncio.CancelledError
+            raise asyncio.CancelledError(*filter(None, [self._message]))
 
 
 class Ticks(ClockWait):
@@ -326,16 +339,22 @@ class WallClock(Clock):
     def _fire(self) -> None:
         now = time.monotonic_ns()
         self._armed_ns = 1  # new alarms do not arm the timer: the last lines do
-        due = []
+        due = deque[tuple[int, int, int, int, Alarm | asyncio.TimerHandle]]()
         while self._heap and self._heap[0][0] <= now:
-            due.append(heapq.heappop(self._heap)[-1])
+            due.append(heapq.heappop(self._heap))
         # Alarms that these add for now or earlier run next time, so that other tasks run in
         # between.
-        for alarm in due:
-            if not alarm.cancelled():
-                self._run_alarm(alarm)
-        self._armed_ns = self._heap[0][0] if self._heap else 0
-        self._fd.set(self._armed_ns)
+        try:
+            while due:
+                alarm = due.popleft()[-1]
+                if not alarm.cancelled():
+                    self._run_alarm(alarm)
+        finally:
+            # After SystemExit or KeyboardInterrupt the others run next time.
+            for entry in due:
+                heapq.heappush(self._heap, entry)
+            self._armed_ns = self._heap[0][0] if self._heap else 0
+            self._fd.set(self._armed_ns)
 
 
 class Timerfd:

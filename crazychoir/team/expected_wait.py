@@ -10,18 +10,12 @@ out:
   reason, and that time is subtracted. A drone that is delayed by a late message tells so in its own
   next one. As all drones are equally late soon, a lateness is passed on a few times only.
 
-A drone that sends a message again asks for an answer. An answer tells which ask it answers, so the
-time of an answer is known exactly (as by TCP's timestamps, RFC 7323).
-
 A message that was sent again may overtake the first one (Eifel, RFC 3522): if that arrives after all,
 it was not lost.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
-
-from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.team.message_kind import MOST_ASKS
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +48,6 @@ LONGEST_SURPRISE: Final = 4.0
 
 So one long wait, for an agent that starts late, is not learned; long rounds are learned in a few.
 """
-ANSWER_WEIGHT: Final = 1 / 8
-"""Weight of an ask in the share of the asks that are answered."""
 LOSS_WEIGHT: Final = 1 / 32
 """Weight of a new wait in the share of the waits with losses."""
 LOSSY_SHARE: Final = 0.1
@@ -74,16 +66,6 @@ class ExpectedWait:
     """Seconds: smoothed distance of the waits from their mean."""
     lost_share: float = 0.0
     """Smoothed share of the waits with a message that arrived only when it was sent again."""
-    answer_mean: float = 0.0
-    """Seconds: smoothed time from an ask for a message to the answer."""
-    answer_deviation: float = 0.0
-    """Seconds: smoothed distance of these times from their mean."""
-    answered_share: float = 0.0
-    """Smoothed share of the asks that are answered."""
-    last_ask: int = 0
-    """Number of the last ask."""
-    asked_ns: dict[int, int] = field(default_factory=dict)
-    """{number of an ask: ns, its time} of the asks without an answer."""
 
     def learn(self, seconds: float) -> None:
         """Take into account a wait of this many seconds that no lost message has prolonged."""
@@ -102,28 +84,6 @@ class ExpectedWait:
         """Undo the last `note_repeat`: the message was not lost, only overtaken."""
         self.lost_share = max(0.0, self.lost_share - LOSS_WEIGHT)
 
-    def ask(self, now_ns: int) -> int:
-        """Return the number of an ask that is sent now."""
-        self.answered_share -= ANSWER_WEIGHT * self.answered_share
-        self.last_ask = self.last_ask % MOST_ASKS + 1
-        self.asked_ns[self.last_ask] = now_ns
-        return self.last_ask
-
-    def learn_answer(self, ask: int, now_ns: int) -> None:
-        """Take into account that the first answer to an ask arrived."""
-        asked_ns = self.asked_ns.pop(ask, None)
-        if asked_ns is None:
-            return
-        self.answered_share = min(1.0, self.answered_share + ANSWER_WEIGHT)
-        seconds = (now_ns - asked_ns) / NS_PER_SECOND
-        if not self.answer_mean:
-            self.answer_mean = seconds
-            self.answer_deviation = seconds / 2
-            return
-        error = seconds - self.answer_mean
-        self.answer_mean += MEAN_WEIGHT * error
-        self.answer_deviation += DEVIATION_WEIGHT * (abs(error) - self.answer_deviation)
-
     def find_first_resend(self) -> float:
         """Return the seconds from the start of a wait to the first resend.
 
@@ -133,18 +93,9 @@ class ExpectedWait:
         return lossy * RESEND_TIMES.shortest + (1.0 - lossy) * self._find_patience()
 
     def find_next_resend(self, attempt: int) -> float:
-        """Return the seconds to the next resend after this many.
-
-        Where most asks are answered, it waits for the answer. Where most are lost, it is faster to
-        ask again before the answer can be there.
-        """
+        """Return the seconds to the next resend after this many."""
         doublings = min(attempt // RESEND_TIMES.attempts_a_time, 8)
-        backed_off = min(
-            RESEND_TIMES.longest, self.find_first_resend() * 2.0**doublings
-        )
-        answer = self.answer_mean + MOST_DEVIATIONS * self.answer_deviation
-        patient = min(RESEND_TIMES.longest_first, answer) * self.answered_share**2
-        return max(backed_off, patient)
+        return min(RESEND_TIMES.longest, self.find_first_resend() * 2.0**doublings)
 
     def _find_patience(self) -> float:
         """Return the seconds in which nearly every message arrives that is not lost."""

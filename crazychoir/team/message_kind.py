@@ -2,9 +2,6 @@
 epoch.
 
     flags = kind (4 bits), lateness (4), relays (4), epoch (20)
-
-A message that asks for another one has the number of its ask instead of lateness and relays, and the
-answer repeats it.
 """
 
 from bisect import bisect_right
@@ -56,8 +53,6 @@ In a ring of thirty drones the last one is so far away.
 """
 EPOCH_SHIFT: Final = KIND_BITS + LATENESS_BITS + RELAY_BITS
 """Bits below the epoch in the flags."""
-MOST_ASKS: Final = (1 << LATENESS_BITS + RELAY_BITS) - 1
-"""Largest number of an ask; then they begin again with 1."""
 MOST_EPOCHS: Final = 1 << (32 - EPOCH_SHIFT)
 """First epoch that does not fit into the flags."""
 DELAY_MASK: Final = (1 << EPOCH_SHIFT) - 1
@@ -120,16 +115,6 @@ def flag_lateness(seconds: float, relays: int) -> int:
     if step <= 0 or relays <= 0:
         return 0
     return (relays << LATENESS_BITS | step) << KIND_BITS
-
-
-def flag_ask(number: int) -> int:
-    """Return the bits of the flags of a message that asks for an answer, and of the answer."""
-    return number << KIND_BITS
-
-
-def read_ask(flags: int) -> int:
-    """Return the number of the ask that a message makes or answers; 0 if it does neither."""
-    return flags >> KIND_BITS & MOST_ASKS
 
 
 def read_lateness(flags: int) -> tuple[float, int]:

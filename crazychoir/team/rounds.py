@@ -48,10 +48,8 @@ from crazychoir.team.message_kind import (
     NO_MESSAGE,
     REPEAT_KIND,
     MessageKind,
-    flag_ask,
     is_sent_again,
     join_contents,
-    read_ask,
     split_contents,
 )
 from crazychoir.team.messages import Roster
@@ -396,7 +394,7 @@ class Rounds:
                 self._take_double(source, payload, number, channel, flags, age)
                 return
             if kind > DOUBLE_KIND:
-                self._controlled(ch, kind, source, number, read_ask(flags))
+                self._controlled(ch, kind, source, number)
                 return
         peers = ch.peers
         latest = peers.latest.get(source)
@@ -410,9 +408,7 @@ class Rounds:
             if kind <= REPEAT_KIND:
                 peers.progress[source] = number
         if kind == REPEAT_KIND:
-            self._answer(ch, number, source, read_ask(flags))
-        elif kind == ANSWER_KIND:
-            ch.wait.expected.learn_answer(read_ask(flags), self._now_ns())
+            self._answer(ch, number, source)
         k = ch.receiving
         inbox = ch.inbox
         if k <= number < k + ROUND_WINDOW.kept_rounds:
@@ -449,13 +445,15 @@ class Rounds:
         """Take a message of two rounds as two messages."""
         try:
             own, before = split_contents(payload)
+            if number == 0:
+                raise CodecError("message of two rounds: there is no round before 0.")
         except CodecError:
             self.port.counters.malformed += 1
             return
         epoch = flags & ~DELAY_MASK
         answer = epoch | ANSWER_KIND
         repeat = flags ^ DOUBLE_KIND ^ REPEAT_KIND
-        self._arrived(source, before, max(number - 1, 0), channel, answer, age)
+        self._arrived(source, before, number - 1, channel, answer, age)
         self._arrived(source, own, number, channel, repeat, age)
 
     def _counts(
@@ -492,8 +490,8 @@ class Rounds:
             age = (self.port.heard_ns[source] - born_ns) / NS_PER_SECOND
             self._arrived(source, payload, number, channel, flags, age)
 
-    def _answer(self, ch: Channel, number: int, source: int, ask: int) -> None:
-        """Answer a repeated round, and repeat the number of the ask.
+    def _answer(self, ch: Channel, number: int, source: int) -> None:
+        """Answer a repeated round.
 
         The source lacks our message of that round, or it does not know that we have read its own.
         If the round comes after our end of the channel, answer that we have ended.
@@ -501,11 +499,11 @@ class Rounds:
         if number >= ch.sending:
             self._farewell(ch, number, source)
             return
-        self._serve(ch, number, source, ask)
+        self._serve(ch, number, source)
         if number + 1 < ch.receiving or not ch.reads(number, source):
             self._control(ch, MessageKind.CREDIT, (source,), ch.receiving, ch.answers)
 
-    def _serve(self, ch: Channel, number: int, source: int, ask: int) -> None:
+    def _serve(self, ch: Channel, number: int, source: int) -> None:
         """Send a round again.
 
         A round that is no longer kept was read by all members of its epoch. The source did not
@@ -515,8 +513,7 @@ class Rounds:
         if ch.joinable and number < ch.oldest:
             self._control(ch, MessageKind.GONE, (source,), ch.oldest, ch.answers)
         else:
-            kind = ANSWER_KIND | flag_ask(ask)
-            self._again(ch, number, source, 2 * ch.answers + 1, kind)
+            self._again(ch, number, source, 2 * ch.answers + 1, MessageKind.ANSWER)
 
     def _skip(self, ch: Channel, number: int, source: int) -> None:
         """Stop waiting for the rounds of source before `number`.
@@ -546,9 +543,7 @@ class Rounds:
                 FIRST_UNASKED_ATTEMPT + ch.told,
             )
 
-    def _controlled(
-        self, ch: Channel, kind: int, source: int, number: int, ask: int
-    ) -> None:
+    def _controlled(self, ch: Channel, kind: int, source: int, number: int) -> None:
         """Take a message without content: WANT, CREDIT, FIN, FIN_TOO or GONE."""
         if kind == MessageKind.GONE:
             self._skip(ch, number, source)
@@ -565,7 +560,7 @@ class Rounds:
         )
         if kind == MessageKind.WANT:
             self._farewell(ch, number, source)
-            self._serve(ch, number, source, ask)
+            self._serve(ch, number, source)
         wake_if(ch.gate)
 
     # Waiting channels ----------------------------------------------------------------
@@ -689,7 +684,6 @@ class Rounds:
         wait.note_resend(now_ns)
         k = ch.receiving
         for j in list(wait.missing):
-            ask = flag_ask(wait.expected.ask(now_ns))
             own = ch.stored(k, j) if ch.reads(k, j) else None
             before = ch.stored(k - 1, j) if ch.reads(k - 1, j) else None
             if (
@@ -698,16 +692,15 @@ class Rounds:
                 and len(own) + len(before) <= ROUND_LIMITS.max_double_bytes
             ):
                 both = join_contents(own, before)
-                kind = DOUBLE_KIND | ask
-                self._resend_content(ch, k, j, both, 2 * wait.attempt, kind)
+                self._resend_content(ch, k, j, both, 2 * wait.attempt, DOUBLE_KIND)
                 continue
             if before is not None:
                 attempt = FIRST_UNASKED_ATTEMPT + wait.attempt
                 self._resend_content(ch, k - 1, j, before, attempt, ANSWER_KIND)
             if own is not None:
-                self._resend_content(ch, k, j, own, 2 * wait.attempt, REPEAT_KIND | ask)
+                self._resend_content(ch, k, j, own, 2 * wait.attempt, REPEAT_KIND)
             else:
-                self._control(ch, MessageKind.WANT | ask, (j,), k, wait.attempt)
+                self._control(ch, MessageKind.WANT, (j,), k, wait.attempt)
 
 
 def is_waiting(wait: RoundWait) -> bool:

@@ -1,7 +1,9 @@
 import asyncio
+import gc
 import os
 import threading
 import time
+import weakref
 
 import pytest
 from virtual_time import virtual
@@ -400,7 +402,70 @@ async def test_a_task_that_sleeps_can_be_cancelled_at_once(clock):
 
     task = asyncio.create_task(sleep())
     await clock.sleep(0.15)
-    assert task.cancel()
+    assert task.cancel("why")
     await clock.sleep(1.0)
     assert task.cancelled()
     assert seen == [150 * MS]
+    with pytest.raises(asyncio.CancelledError, match="why"):
+        await task
+
+
+@pytest.mark.parametrize("run", [run_wall, run_virtual])
+def test_a_sleep_that_is_over_leaves_nothing_for_the_garbage_collector(run):
+    async def main(clock):
+        gc.collect()
+        gc.disable()
+        try:
+            for _ in range(100):
+                await clock.sleep(1e-6)
+            return gc.collect()
+        finally:
+            gc.enable()
+
+    assert run(main) < 100
+
+
+@virtual
+async def test_a_cancelled_alarm_keeps_nothing_alive(clock):
+    class Large:
+        pass
+
+    large = Large()
+    known = weakref.ref(large)
+    alarm = clock.call_at(10**15, print, large)
+    task = asyncio.create_task(_sleep_with(large, clock))
+    await clock.sleep(0.1)
+    alarm.cancel()
+    task.cancel()
+    await asyncio.wait([task])
+    del large, task
+    await clock.sleep(0.1)
+    gc.collect()
+    assert known() is None
+
+
+async def _sleep_with(thing, clock):
+    await clock.sleep(1e6)
+    return thing
+
+
+def test_after_the_exit_of_a_task_the_other_alarms_of_that_instant_still_run():
+    seen = []
+
+    async def leave(clock, due_ns):
+        await clock.sleep_until(due_ns)
+        raise SystemExit(3)
+
+    async def main(clock):
+        due_ns = clock.now_ns() + 5 * MS
+        clock.call_at(due_ns, seen.append, "ran", priority=AlarmPriority.TIMEOUT)
+        leaving = asyncio.create_task(leave(clock, due_ns))
+        try:
+            await clock.sleep(1.0)
+        finally:
+            await asyncio.wait([leaving])
+            await asyncio.sleep(0.02)
+
+    with pytest.raises(SystemExit):
+        run_wall(main)
+    assert seen == ["ran"]

@@ -10,7 +10,7 @@ from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule
 from crazychoir.bus.port import Bus
 from crazychoir.errors import ChannelEnded, PeerLost, RoundTimeout
-from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_virtual
+from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.team import graph as graphs
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.expected_wait import RESEND_TIMES, ExpectedWait
@@ -19,19 +19,12 @@ from crazychoir.team.message_kind import (
     EPOCH_SHIFT,
     KIND_MASK,
     LATENESS_STEPS,
-    MOST_ASKS,
     MOST_RELAYS,
     MessageKind,
-    flag_ask,
     flag_lateness,
-    read_ask,
     read_lateness,
 )
 from crazychoir.team.rounds import CHECK_GRID, LONGEST_UNCHECKED
-
-
-def ns(seconds: float) -> int:
-    return round(seconds * NS_PER_SECOND)
 
 
 def test_a_new_channel_resends_after_the_shortest_time():
@@ -65,86 +58,6 @@ def test_the_time_between_resends_doubles():
     assert times[0] == RESEND_TIMES.shortest
     assert times[RESEND_TIMES.attempts_a_time] == 2 * RESEND_TIMES.shortest
     assert times[-1] == RESEND_TIMES.longest
-
-
-@pytest.mark.parametrize("seconds", [0.05, 0.4, 7.0])
-def test_where_asks_are_answered_the_next_one_waits_for_the_answer(seconds):
-    expected = ExpectedWait()
-    for k in range(100):
-        expected.learn_answer(expected.ask(k * NS_PER_SECOND), ns(k + seconds))
-    assert expected.find_first_resend() == RESEND_TIMES.shortest
-    wanted = min(seconds, RESEND_TIMES.longest_first)
-    assert expected.find_next_resend(1) == pytest.approx(wanted, rel=1e-3)
-
-
-def test_where_half_of_all_messages_are_lost_an_ask_does_not_wait_for_the_answer():
-    expected = ExpectedWait()
-    for k in range(100):
-        ask = expected.ask(k * NS_PER_SECOND)
-        if k % 4 == 0:
-            expected.learn_answer(ask, ns(k + 0.1))
-    assert expected.find_next_resend(1) <= 1.5 * RESEND_TIMES.shortest
-
-
-def test_only_the_first_answer_to_an_ask_counts():
-    expected = ExpectedWait()
-    ask = expected.ask(0)
-    expected.learn_answer(ask, ns(0.03))
-    learned = expected.answer_mean, expected.answered_share
-    for again in (ask, 0, ask + 1):
-        expected.learn_answer(again, ns(9.0))
-    assert learned[0] == pytest.approx(0.03)
-    assert (expected.answer_mean, expected.answered_share) == learned
-
-
-def test_the_numbers_of_asks_begin_again():
-    expected = ExpectedWait()
-    numbers = [expected.ask(k) for k in range(2 * MOST_ASKS)]
-    assert numbers == 2 * [*range(1, MOST_ASKS + 1)]
-    assert len(expected.asked_ns) == MOST_ASKS
-    flags = 7 << EPOCH_SHIFT | MessageKind.REPEAT
-    assert all(read_ask(flags | flag_ask(number)) == number for number in numbers)
-    assert all(
-        (flags | flag_ask(number)) >> EPOCH_SHIFT == 7
-        and (flags | flag_ask(number)) & KIND_MASK == MessageKind.REPEAT
-        for number in numbers
-    )
-
-
-@pytest.mark.parametrize("loss", [0.02, 0.2])
-def test_a_drone_learns_how_long_an_answer_takes(loss):
-    team, repeats = exchange_rounds(
-        graphs.ring(10), {"loss": loss, "delay": 0.02}, 200, 0.0
-    )
-    for c in team:
-        expected = c.open("main").wait.expected
-        assert expected.answer_mean == pytest.approx(0.04, rel=0.05)
-        assert expected.answered_share > 0.4
-    # Without what the answers tell: 2.1 and 5.9.
-    assert repeats[-1] / (200 * 20) < (1.7 if loss == 0.02 else 4.2)
-
-
-def test_a_reader_that_sends_nothing_learns_how_long_an_answer_takes():
-    async def main(clock: Clock) -> ExpectedWait:
-        rule = ImpairmentRule({"loss": 0.2, "delay": 0.02})
-        bus = Bus(clock, Impairment(1, [rule]))
-        bus.impairment.begin(clock.now())
-        one_way = Graph.from_edges(2, [[0, 1]], directed=True)
-        here, there = (Communicator(bus.port(i), one_way) for i in range(2))
-
-        async def send() -> None:
-            for k in range(100):
-                await here.send(k)
-                await clock.sleep(0.1)
-
-        async def receive() -> None:
-            for _ in range(100):
-                await there.receive()
-
-        await asyncio.gather(send(), receive())
-        return there.open("main").wait.expected
-
-    assert run_virtual(main).answer_mean == pytest.approx(0.04, rel=0.05)
 
 
 def test_losses_shorten_the_time_before_a_resend():
