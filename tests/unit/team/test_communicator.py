@@ -965,6 +965,18 @@ def test_a_message_of_two_rounds_that_is_too_short_is_dropped(content):
     assert swarm(graphs.path(2), agent) == {0: 1, 1: 0}
 
 
+def test_a_message_of_round_0_and_the_round_before_is_dropped():
+    async def agent(c: Communicator) -> int:
+        if c.id == 1:
+            both = join_contents(encode("new"), encode("old"))
+            kind = MessageKind.DOUBLE
+            c.port.send(MESSAGE_TOPICS.rounds, (0,), both, 0, "main", kind)
+        assert await c.neighbors_exchange(c.id) == {1 - c.id: 1 - c.id}
+        return c.port.counters.malformed
+
+    assert swarm(graphs.path(2), agent) == {0: 1, 1: 0}
+
+
 def test_a_message_of_two_rounds_brings_both():
     async def agent(c: Communicator) -> list[Any]:
         if c.id == 1:
