@@ -34,12 +34,12 @@ class CostLimits:
 
 
 LIMITS = {
-    SMALL_SWARM: CostLimits(calls=5.6, messages=130.4, bytes=18_770, blocks=1.5),
-    LARGE_SWARM: CostLimits(calls=1.0, messages=143.0, bytes=20_590, blocks=0.5),
+    SMALL_SWARM: CostLimits(calls=5.2, messages=130.4, bytes=18_770, blocks=1.5),
+    LARGE_SWARM: CostLimits(calls=0.93, messages=143.0, bytes=20_590, blocks=0.5),
 }
 
 
-LATE_LIMITS = CostLimits(calls=12.8, messages=138.9, bytes=19_400, blocks=10.0)
+LATE_LIMITS = CostLimits(calls=10.8, messages=138.9, bytes=19_400, blocks=10.0)
 """With a simulated network that delays messages, in the small swarm."""
 
 
