@@ -244,7 +244,8 @@ def _encode_field(value: Any) -> Any:
 
 def _decode_generic(payload: Payload) -> Any:
     value = _decode_msgpack(payload[1:])
-    _check_decoded([value], 0)
+    if type(value) not in _LEAF_TYPES:
+        _check_decoded([value], 0)
     return value
 
 

@@ -37,17 +37,18 @@ class Skewed(Clock):
 class Way:
     """A way for messages from one host to all others, without delay."""
 
-    def __init__(self, own: Bus, hosts: list[Bus]) -> None:
-        self.own, self.hosts = own, hosts
+    def __init__(self, own: Bus, others: Sequence[Bus]) -> None:
+        self.own, self.others = own, others
 
     def forward(self, topic: Topic, source: int, to: list[int], *message: Any) -> None:
         for j in to:
-            is_there = False
-            for bus in self.hosts:
-                if j in bus.ports and bus is not self.own:
-                    is_there = True
-                    bus.ports[j].deliver(topic.number, source, *message)
-            self.own.unroutable += not is_there
+            for bus in self.others:
+                port = bus.ports.get(j)
+                if port is not None:
+                    port.deliver(topic.number, source, *message)
+                    break
+            else:
+                self.own.unroutable += 1
 
     def then(self, work: Callable[[], None]) -> None:
         self.own.clock.soon(work)
@@ -60,10 +61,10 @@ def hosts(
     clock: Clock, ahead: Sequence[float], impairment: Callable[[], Impairment]
 ) -> list[Bus]:
     """A bus for each number of seconds that its clock is ahead."""
-    made: list[Bus] = []
-    for k, seconds in enumerate(ahead):
-        made.append(
-            Bus(Skewed(clock, seconds), impairment(), process=f"p{k}", host=f"h{k}")
-        )
-        made[-1].forwarder = Way(made[-1], made)
+    made = [
+        Bus(Skewed(clock, seconds), impairment(), process=f"p{k}", host=f"h{k}")
+        for k, seconds in enumerate(ahead)
+    ]
+    for own in made:
+        own.forwarder = Way(own, [bus for bus in made if bus is not own])
     return made
