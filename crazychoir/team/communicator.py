@@ -177,12 +177,12 @@ class Communicator(Rounds):
             if neighbors is None
             else neighbors
         )
-        oldest_ns = self._clock.now_ns() - max_age * NS_PER_SECOND
+        now_ns = self._clock.now_ns()
         found = {j: ch.peers.latest[j] for j in wanted if j in ch.peers.latest}
         return {
             j: self._decoded(payload)
-            for j, (_, payload, born_ns) in found.items()
-            if born_ns >= oldest_ns
+            for j, (_, payload, heard_ns, age) in found.items()
+            if (now_ns - heard_ns) / NS_PER_SECOND + age <= max_age
         }
 
     async def close(
