@@ -44,8 +44,8 @@ Content = bytes | dict[int, bytes]
 """One payload for all readers, or one for each reader."""
 Sent = tuple[Content, tuple[int, ...]]
 """Payload of a sent round, and its readers."""
-Latest = tuple[int, bytes, int, float]
-"""Round, payload, time of its arrival in ns, and its age then in s."""
+Latest = tuple[int, bytes, int]
+"""Round, payload, and the time of its creation on our clock, in ns."""
 NOT_SENT: Final[Sent] = (b"", ())
 """Stands for a round that is not kept: no payload and no readers."""
 
@@ -64,11 +64,6 @@ class NeighborProgress:
     """{neighbour that has ended the channel: first round in which it did not take part}."""
     kept: dict[int, int] = field(default_factory=dict)
     """{neighbour that was without us for a while: first round that it still has}."""
-
-    def find_delay(self, peers: Iterable[int]) -> float:
-        """Return the seconds that the latest message of one of these was on its way, at most."""
-        latest = self.latest
-        return max([latest[j][3] for j in peers if j in latest], default=0.0)
 
     def forget(self, peers: Iterable[int]) -> None:
         """Forget the state of neighbours that have left or were restarted."""
@@ -103,8 +98,6 @@ class RoundWait:
     """ns: time at which the wait fails."""
     attempt: int = 0
     """Resends in the present wait."""
-    first_resend_ns: int = 0
-    """ns: time of the first of these resends."""
     ended_by: int = NO_MESSAGE
     """Flags of the message that has ended the wait."""
     had_repeat: bool = False
@@ -170,22 +163,11 @@ class RoundWait:
         else:
             self.expected.undo_repeat()
 
-    def note_resend(self, now_ns: int, delay: float) -> None:
-        """Count a resend, and find the time of the next one.
-
-        After enough resends the next one waits until the first of them can be answered.
-
-        delay: s that a message is on its way
-        """
-        if self.attempt == 0:
-            self.first_resend_ns = now_ns
+    def note_resend(self, now_ns: int) -> None:
+        """Count a resend, and find the time of the next one."""
         self.attempt += 1
         following = self.expected.find_next_resend(self.attempt)
         self.resend_ns = now_ns + int(NS_PER_SECOND * following)
-        if delay > 0.0 and self.attempt == self.expected.find_batch_size():
-            answer = min(2.0 * delay, RESEND_TIMES.longest_first)
-            answer_ns = self.first_resend_ns + int(NS_PER_SECOND * answer)
-            self.resend_ns = max(self.resend_ns, answer_ns)
 
 
 @dataclass(eq=False, slots=True)

@@ -177,12 +177,12 @@ class Communicator(Rounds):
             if neighbors is None
             else neighbors
         )
-        now_ns = self._clock.now_ns()
+        oldest_ns = self._clock.now_ns() - max_age * NS_PER_SECOND
         found = {j: ch.peers.latest[j] for j in wanted if j in ch.peers.latest}
         return {
             j: self._decoded(payload)
-            for j, (_, payload, heard_ns, age) in found.items()
-            if (now_ns - heard_ns) / NS_PER_SECOND + age <= max_age
+            for j, (_, payload, born_ns) in found.items()
+            if born_ns >= oldest_ns
         }
 
     async def close(

@@ -12,14 +12,9 @@ out:
 
 A message that was sent again may overtake the first one (Eifel, RFC 3522): if that arrives after all,
 it was not lost.
-
-Over a link with a long delay a round is sent again several times before the first answer can come.
-This makes up for losses at once, but only the first few of these messages are of use. How many
-depends on the losses.
 """
 
 from dataclasses import dataclass
-from math import ceil, log
 from typing import Final
 
 
@@ -59,12 +54,6 @@ LOSSY_SHARE: Final = 0.1
 """Share of the waits with losses from which on a round is sent again after the shortest time."""
 NO_LOSS_SHARE: Final = 0.001
 """Share of the waits with losses that counts as none."""
-LARGEST_SHARE: Final = 0.95
-"""Largest share of the waits with losses in the size of a batch of resends."""
-MISSED_SHARE: Final = 0.03
-"""Share of the batches of resends that may all be lost."""
-LEAST_IN_BATCH: Final = 2
-"""Resends in a batch, at least."""
 
 
 @dataclass(eq=False, slots=True)
@@ -77,8 +66,6 @@ class ExpectedWait:
     """Seconds: smoothed distance of the waits from their mean."""
     lost_share: float = 0.0
     """Smoothed share of the waits with a message that arrived only when it was sent again."""
-    loss_knowledge: float = 0.0
-    """Weight of the waits in `lost_share`: near 0 after the first, near 1 after a hundred."""
 
     def learn(self, seconds: float) -> None:
         """Take into account a wait of this many seconds that no lost message has prolonged."""
@@ -90,10 +77,8 @@ class ExpectedWait:
     def note_repeat(self, was_needed: bool) -> None:
         """Take into account if a wait needed a message that was sent again."""
         self.lost_share += LOSS_WEIGHT * (was_needed - self.lost_share)
-        self.loss_knowledge += LOSS_WEIGHT * (1.0 - self.loss_knowledge)
         if self.lost_share < NO_LOSS_SHARE:
             self.lost_share = 0.0
-            self.loss_knowledge = 0.0
 
     def undo_repeat(self) -> None:
         """Undo the last `note_repeat`: the message was not lost, only overtaken."""
@@ -111,17 +96,6 @@ class ExpectedWait:
         """Return the seconds to the next resend after this many."""
         doublings = min(attempt // RESEND_TIMES.attempts_a_time, 8)
         return min(RESEND_TIMES.longest, self.find_first_resend() * 2.0**doublings)
-
-    def find_batch_size(self) -> int:
-        """Return how many resends it takes until one of them very probably arrives.
-
-            share^size <= MISSED_SHARE
-
-        share: share of the waits with losses; all of them while none is known
-        """
-        share = self.lost_share / self.loss_knowledge if self.loss_knowledge else 1.0
-        share = min(max(share, NO_LOSS_SHARE), LARGEST_SHARE)
-        return max(LEAST_IN_BATCH, ceil(log(MISSED_SHARE) / log(share)))
 
     def _find_patience(self) -> float:
         """Return the seconds in which nearly every message arrives that is not lost."""

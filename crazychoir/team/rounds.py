@@ -399,7 +399,12 @@ class Rounds:
         peers = ch.peers
         latest = peers.latest.get(source)
         if latest is None or number >= latest[0]:
-            peers.latest[source] = (number, payload, self._heard_ns[source], age)
+            heard_ns = self._heard_ns[source]
+            peers.latest[source] = (
+                number,
+                payload,
+                heard_ns - int(age * NS_PER_SECOND) if age else heard_ns,
+            )
             if kind <= REPEAT_KIND:
                 peers.progress[source] = number
         if kind == REPEAT_KIND:
@@ -676,7 +681,7 @@ class Rounds:
         the round before. If both are small, they go in one message.
         """
         wait = ch.wait
-        wait.note_resend(now_ns, ch.peers.find_delay(wait.missing))
+        wait.note_resend(now_ns)
         k = ch.receiving
         for j in list(wait.missing):
             own = ch.stored(k, j) if ch.reads(k, j) else None

@@ -10,15 +10,10 @@ from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule
 from crazychoir.bus.port import Bus
 from crazychoir.errors import ChannelEnded, PeerLost, RoundTimeout
-from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_virtual
+from crazychoir.runtime.clock import Clock, run_virtual
 from crazychoir.team import graph as graphs
-from crazychoir.team.channel import RoundWait
 from crazychoir.team.communicator import Communicator
-from crazychoir.team.expected_wait import (
-    LEAST_IN_BATCH,
-    RESEND_TIMES,
-    ExpectedWait,
-)
+from crazychoir.team.expected_wait import RESEND_TIMES, ExpectedWait
 from crazychoir.team.graph import Graph
 from crazychoir.team.message_kind import (
     EPOCH_SHIFT,
@@ -82,53 +77,6 @@ def test_losses_shorten_the_time_before_a_resend():
     expected.note_repeat(True)
     expected.undo_repeat()
     assert expected.find_first_resend() == calm
-
-
-@pytest.mark.parametrize(
-    ("lost", "waits", "size"),
-    [(0, 0, 69), (1, 1, 69), (50, 100, 5), (20, 100, 3), (1, 100, 2), (100, 100, 69)],
-)
-def test_a_batch_of_resends_grows_with_the_losses(lost, waits, size):
-    expected = ExpectedWait()
-    for k in range(waits):
-        expected.note_repeat(k * lost % waits < lost)
-    assert expected.find_batch_size() == size
-
-
-def test_a_batch_is_small_when_all_losses_turn_out_to_be_none():
-    expected = ExpectedWait()
-    for _ in range(10):
-        expected.note_repeat(True)
-    for _ in range(10):
-        expected.undo_repeat()
-    assert expected.lost_share == 0.0
-    assert expected.find_batch_size() == LEAST_IN_BATCH
-
-
-def list_resend_times(delay: float, lost_share: float) -> list[float]:
-    """Return the seconds from the first of 12 resends of a wait to each other one."""
-    wait = RoundWait()
-    wait.expected.lost_share = lost_share
-    wait.expected.loss_knowledge = 1.0
-    times = []
-    for _ in range(12):
-        wait.note_resend(wait.resend_ns, delay)
-        times.append(wait.resend_ns / NS_PER_SECOND)
-    return times
-
-
-def test_after_a_batch_of_resends_the_next_one_waits_for_an_answer_once():
-    near = list_resend_times(0.0, 0.3)
-    far = list_resend_times(0.15, 0.3)
-    pause = far[2] - near[2]
-    assert far[:2] == near[:2]
-    assert far[2] == pytest.approx(0.3)
-    assert far[3:] == pytest.approx([one + pause for one in near[3:]])
-
-
-def test_a_message_of_unknown_age_stops_no_resends():
-    """A neighbour that was stopped for an hour sends an old message."""
-    assert list_resend_times(3600.0, 0.3)[2] == RESEND_TIMES.longest_first
 
 
 @pytest.mark.parametrize("step", range(1, len(LATENESS_STEPS)))
@@ -241,14 +189,6 @@ def test_messages_that_were_overtaken_count_as_lost_for_a_moment_only(delay, jit
     )
     assert repeats[-1] - repeats[200] < 0.03 * 200 * 4 * 5
     assert max(c.open("main").wait.expected.lost_share for c in team) < 0.05
-
-
-@pytest.mark.parametrize(
-    ("graph", "most"), [(graphs.path(2), 5.5), (graphs.ring(6), 7.5)], ids=["2", "6"]
-)
-def test_over_a_long_delay_losses_need_few_repeats_of_a_message(graph, most):
-    _, repeats = exchange_rounds(graph, {"loss": 0.2, "delay": 0.1}, 400, 0.0)
-    assert repeats[-1] < most * 400 * len(graph.arcs)
 
 
 def test_losses_are_learned_by_the_rounds_themselves():
