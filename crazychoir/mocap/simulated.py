@@ -15,7 +15,7 @@ from crazychoir.numerics.math3d import quaternion_product, rotation_exponential
 from crazychoir.types import CameraFrame, Mat, Vec
 
 TICKS_IN_BLOCK: Final = 16
-"""Ticks whose noise is drawn at once: to begin a draw takes as long as the noise of 30 drones."""
+"""The noise of so many ticks is drawn at once: to begin a draw takes as long as 30 drones."""
 
 
 @kernel(matrix, matrix, real, real, vector, table)

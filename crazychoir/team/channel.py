@@ -97,7 +97,9 @@ class RoundWait:
     deadline_ns: int = 0
     """ns: time at which the wait fails."""
     attempt: int = 0
-    """Resends in the present wait."""
+    """Resends of the present round, in this wait and in earlier ones, which have failed."""
+    first_attempt: int = 0
+    """Resends of the present round before this wait."""
     ended_by: int = NO_MESSAGE
     """Flags of the message that has ended the wait."""
     had_repeat: bool = False
@@ -166,7 +168,7 @@ class RoundWait:
     def note_resend(self, now_ns: int) -> None:
         """Count a resend, and find the time of the next one."""
         self.attempt += 1
-        following = self.expected.find_next_resend(self.attempt)
+        following = self.expected.find_next_resend(self.attempt - self.first_attempt)
         self.resend_ns = now_ns + int(NS_PER_SECOND * following)
 
 

@@ -359,6 +359,7 @@ class Communicator(Rounds):
                 await self._clock.sleep(0.0, drone=self.id)
         del ch.inbox[k]
         ch.receiving = k + 1
+        ch.wait.attempt = 0
         if not k % CREDIT_EVERY:
             self._grant(ch, k, wanted)
         if policy == "hold":

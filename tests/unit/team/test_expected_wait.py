@@ -119,6 +119,7 @@ def exchange_rounds(
     computation: float,
     lost_round: int = -1,
     deadline: float = 60.0,
+    seed: int = 1,
 ) -> tuple[list[Communicator], list[int]]:
     """Return the communicators of a team after so many rounds, and the repeats of all until each round.
 
@@ -142,7 +143,7 @@ def exchange_rounds(
         await c.close()
 
     async def main(clock: Clock) -> tuple[list[Communicator], list[int]]:
-        bus = Bus(clock, Impairment(1, [ImpairmentRule(rule)]))
+        bus = Bus(clock, Impairment(seed, [ImpairmentRule(rule)]))
         bus.impairment.begin(clock.now())
         team = [Communicator(bus.port(i), graph) for i in graph.ids]
         LosesOne(team[0], lost_round)
@@ -198,6 +199,17 @@ def test_losses_are_learned_by_the_rounds_themselves():
     shares = [c.open("main").wait.expected.lost_share for c in team]
     assert min(shares) > 0.1
     assert all(c.open("main").wait.expected.find_first_resend() < 0.02 for c in team)
+
+
+@pytest.mark.parametrize("deadline", [0.25, 0.4])
+def test_a_round_that_is_tried_again_does_not_lose_the_same_messages_again(deadline):
+    """The simulated network draws once for each number of a repeat, so all tries count on."""
+    burst = {"p_good_bad": 0.02, "p_bad_good": 0.1, "loss_bad": 1.0, "delay": 0.1}
+    for seed in (5, 8, 9, 10, 13):
+        _, repeats = exchange_rounds(
+            graphs.path(2), burst, 300, 0.0, deadline=deadline, seed=seed
+        )
+        assert len(repeats) == 300
 
 
 def test_a_lost_message_is_asked_for_before_a_short_deadline():
