@@ -4,7 +4,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 from scipy.special import ndtri
@@ -13,9 +13,6 @@ from crazychoir.config.tables import MocapTable
 from crazychoir.numerics.kernels import kernel, matrix, real, table, vector
 from crazychoir.numerics.math3d import quaternion_product, rotation_exponential
 from crazychoir.types import CameraFrame, Mat, Vec
-
-TICKS_IN_BLOCK: Final = 16
-"""The noise of so many ticks is drawn at once: to begin a draw takes as long as 30 drones."""
 
 
 @kernel(matrix, matrix, real, real, vector, table)
@@ -77,9 +74,8 @@ class SimulatedMocap:
 
         p_measured = p + n_p,   q_measured = q q_tilt exp(n_angle),   R(q_tilt) = Ry(pitch) Rx(roll)
 
-    The draws for a drone depend only on (seed, tick of exposure, id). Philox, with the seed and the
-    number of a block of ticks as its key, draws all ticks of drone 0, then those of drone 1, and so
-    on. So they do not depend on earlier calls, nor on the distribution of drones over processes.
+    The draws for a drone depend only on (seed, tick of exposure, id): Philox with this key, row
+    `id`. So they do not depend on earlier calls, nor on the distribution of drones over processes.
 
     ids: the drones, row by row
     seed: seed of all draws
@@ -112,8 +108,6 @@ class SimulatedMocap:
         self._stream = np.random.Generator(self._bits)
         self._beginning = self._bits.state
         self._key = self._beginning["state"]["key"]
-        self._block = -1
-        self._drawn = np.empty((TICKS_IN_BLOCK, len(self.ids), 7))
         self._exposures: deque[tuple[int, Mat]] = deque()
 
     def sample(self, x: Mat, k: int) -> CameraFrame | None:
@@ -145,17 +139,9 @@ class SimulatedMocap:
 
     def _normal(self, tick: int) -> Mat:
         """Return standard normals (N, 7) of one exposure: six for noise, one for dropout."""
-        block, place = divmod(tick, TICKS_IN_BLOCK)
-        if block != self._block:
-            self._draw(block)
-        exposed: Mat = self._drawn[place]
-        return exposed
-
-    def _draw(self, block: int) -> None:
-        """Draw the standard normals of a block of ticks."""
-        self._block = block
-        # A new generator a block would draw a seed from the system first, which takes longer.
-        self._key[1] = block
+        # A new generator a tick would draw a seed from the system first, which takes longer.
+        self._key[1] = tick
         self._bits.state = self._beginning
-        drawn = self._stream.standard_normal((self._drawn_rows, TICKS_IN_BLOCK, 7))
-        self._drawn[:] = drawn[self._rows].swapaxes(0, 1)
+        drawn: Mat = self._stream.standard_normal((self._drawn_rows, 7))
+        mine: Mat = drawn.take(self._rows, axis=0)
+        return mine
