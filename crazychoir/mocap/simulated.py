@@ -80,7 +80,7 @@ class SimulatedMocap:
     ids: the drones, row by row
     seed: seed of all draws
     errors: noise, dropouts, latency and tilt
-    dt: s: one tick
+    dt: s: one tick of the cameras
     """
 
     def __init__(
@@ -104,14 +104,14 @@ class SimulatedMocap:
         self._drawn_rows = int(self._rows.max()) + 1
         dropout = errors.dropout
         self._dropout_threshold = ndtri(dropout) if dropout > 0.0 else -math.inf
-        self._bits = np.random.Philox(key=[seed, 0])
+        self._bits = np.random.Philox(key=np.array([seed % (1 << 64), 0], np.uint64))
         self._stream = np.random.Generator(self._bits)
         self._beginning = self._bits.state
         self._key = self._beginning["state"]["key"]
         self._exposures: deque[tuple[int, Mat]] = deque()
 
     def sample(self, x: Mat, k: int) -> CameraFrame | None:
-        """Return the frame that arrives at tick k; None if none arrives.
+        """Return the frame that arrives at tick k of the cameras; None if none arrives.
 
         x: (N, 13): true states at tick k
         """

@@ -218,7 +218,7 @@ class WorldOwner(Actor):
         late: s: delay of this tick
         """
         self.looked_ns = self.bus.clock.now_ns()
-        frame = self.cameras.sample(self.world.states, self._tick)
+        frame = self.cameras.sample(self.world.states, self._tick // self._look_every)
         if frame is None:
             return
         if late:

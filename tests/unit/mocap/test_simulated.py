@@ -50,6 +50,15 @@ def test_the_draws_of_an_exposure_are_those_of_a_new_generator():
         np.testing.assert_array_equal(frame.flat[:, 0:3], truth([2, 0])[:, 0:3] + noise)
 
 
+@pytest.mark.parametrize("seed", [1 << 63, (1 << 64) - 2, 1 << 200])
+def test_large_seeds_differ_from_their_neighbours(seed):
+    noises = [
+        SimulatedMocap([0], s, CameraErrors(1.0, 0.0)).sample(truth([0]), 0).flat[0, 0]
+        for s in (seed, seed + 1)
+    ]
+    assert noises[0] != noises[1]
+
+
 def test_the_noise_has_the_asked_deviations():
     mocap = SimulatedMocap(range(50), 0, CameraErrors(noise_p=0.001, noise_angle=0.01))
     flat = np.concatenate([mocap.sample(truth(range(50)), k).flat for k in range(100)])

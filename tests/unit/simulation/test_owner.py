@@ -43,7 +43,8 @@ class Owned:
                 Call(clock, lambda state, age, i=i: self.truths[i].append(state)),
             )
         self.world = CFIntegrator((0, 1), np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 2.0]]))
-        mocap = SimulatedMocap((0, 1), 1, CameraErrors(**cameras))
+        errors = CameraErrors(**cameras)
+        mocap = SimulatedMocap((0, 1), 1, errors, dt=1.0 / rate)
         self.owner = WorldOwner(self.bus, self.world, mocap, rate)
 
     async def run(self, seconds):
@@ -99,6 +100,22 @@ async def test_bodies_elsewhere_speak_at_their_own_addresses_and_obey_late(clock
         boxes[DRONE_TOPICS.truth].peek().flat.tolist() == world.state(1).flat.tolist()
     )
     assert boxes[DRONE_TOPICS.body].peek() == Body("")
+
+
+@virtual
+async def test_the_age_of_a_late_pose_is_the_time_since_its_exposure(clock):
+    rate = 20.0
+    owned = Owned(clock, rate, noise_p=0.0, noise_angle=0.0, latency_steps=2)
+
+    def move():
+        """Fly at 1 m/s in the direction x."""
+        owned.world.states[:, 0] += owned.world.dt
+
+    owned.world.step = move
+    await owned.run(1.0)
+    pose, age = owned.poses[0][-1]
+    assert age == pose.age == pytest.approx(2.0 / rate)
+    assert pose.p[0] == pytest.approx(1.0 - age)
 
 
 @virtual
