@@ -98,7 +98,7 @@ class RoundWait:
     """ns: time at which the wait fails."""
     attempt: int = 0
     """Resends of the present round, in this wait and in earlier ones, which have failed."""
-    first_attempt: int = 0
+    attempts_before: int = 0
     """Resends of the present round before this wait."""
     ended_by: int = NO_MESSAGE
     """Flags of the message that has ended the wait."""
@@ -168,7 +168,7 @@ class RoundWait:
     def note_resend(self, now_ns: int) -> None:
         """Count a resend, and find the time of the next one."""
         self.attempt += 1
-        following = self.expected.find_next_resend(self.attempt - self.first_attempt)
+        following = self.expected.find_next_resend(self.attempt - self.attempts_before)
         self.resend_ns = now_ns + int(NS_PER_SECOND * following)
 
 
@@ -208,6 +208,8 @@ class Channel:
     """FINs that we sent to neighbours that asked for a round after our last."""
     answers: int = 0
     """Answers to repeated rounds and questions."""
+    reminders: int = 0
+    """Times that our oldest kept round was sent again to readers that may lack it."""
     changed: Exception | None = None
     """Error that the next verb raises because the channel was restarted."""
     gate: "asyncio.Future[None] | None" = None

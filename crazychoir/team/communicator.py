@@ -281,7 +281,6 @@ class Communicator(Rounds):
         patient: False to wait only for readers that have asked for rounds
         """
         ends = self._clock.now() + seconds
-        attempt = 0
         while True:
             if ch.changed is not None:
                 error = ch.changed
@@ -297,15 +296,10 @@ class Communicator(Rounds):
             if self._clock.now() >= ends:
                 raise RoundTimeout(self.id, ch.name, ch.oldest, late or ch.ins, seconds)
             await self._pause(ch, RESEND_TIMES.longest)
-            attempt += 1
+            ch.reminders += 1
+            attempt = 2 * FIRST_UNASKED_ATTEMPT + ch.reminders
             for j in ch.behind(ch.oldest, self._epochs.gone, not patient):
-                self._again(
-                    ch,
-                    ch.oldest,
-                    j,
-                    2 * FIRST_UNASKED_ATTEMPT + attempt,
-                    MessageKind.REPEAT,
-                )
+                self._again(ch, ch.oldest, j, attempt, MessageKind.REPEAT)
         ch.limit = int(
             min(
                 ch.oldest + ROUND_WINDOW.kept_rounds,

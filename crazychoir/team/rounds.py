@@ -599,7 +599,7 @@ class Rounds:
         deadline_ns = now_ns + int(NS_PER_SECOND * seconds)
         wait.since_ns = now_ns
         wait.deadline_ns = deadline_ns
-        wait.first_attempt = wait.attempt
+        wait.attempts_before = wait.attempt
         wait.resend_ns = 0
         wait.ended_by = NO_MESSAGE
         latest_ns = min(deadline_ns, now_ns + EARLIEST_RESEND)

@@ -212,6 +212,85 @@ def test_a_round_that_is_tried_again_does_not_lose_the_same_messages_again(deadl
         assert len(repeats) == 300
 
 
+def list_attempts(rounds: int, deadline: float) -> list[tuple[int, int, float]]:
+    """Return (round, attempt, s) of each repeat of drone 0, when its neighbour sends after 1 s only."""
+    repeats: list[tuple[int, int, float]] = []
+
+    async def main(clock: Clock) -> None:
+        bus = Bus(clock)
+        team = [Communicator(bus.port(i), graphs.path(2)) for i in (0, 1)]
+        send = team[0].port.send
+
+        def noted(topic, to, payload, number=0, channel="", flags=0, attempt=0):
+            if flags & KIND_MASK in (MessageKind.REPEAT, MessageKind.DOUBLE):
+                repeats.append((number, attempt, clock.now()))
+            send(topic, to, payload, number, channel, flags, attempt)
+
+        team[0].port.send = noted  # type: ignore[method-assign, assignment]
+
+        async def wait_for_late() -> None:
+            for _ in range(rounds):
+                while True:
+                    with contextlib.suppress(RoundTimeout):
+                        await team[0].neighbors_exchange(0, deadline=deadline)
+                        break
+
+        async def send_late() -> None:
+            for _ in range(rounds):
+                await clock.sleep(1.0)
+                await team[1].neighbors_exchange(1)
+
+        await asyncio.gather(wait_for_late(), send_late())
+
+    run_virtual(main)
+    return repeats
+
+
+def test_the_repeats_of_a_round_are_numbered_from_its_start_over_all_tries():
+    repeats = list_attempts(2, deadline=0.4)
+    for k in (0, 1):
+        attempts = [attempt for number, attempt, _ in repeats if number == k]
+        assert attempts == [2 * n for n in range(1, len(attempts) + 1)]
+        assert len(attempts) > 10
+
+
+def test_a_round_that_is_tried_again_is_sent_again_as_soon_as_at_first():
+    times = [t for number, _, t in list_attempts(1, deadline=0.4) if number == 0]
+    first = [t for t in times if t < 0.4]
+    second = [t - 0.4 for t in times if 0.4 <= t < 0.8]
+    assert second == pytest.approx(first)
+
+
+def test_a_sender_that_tries_again_does_not_lose_the_same_messages_again():
+    """Drone 1 reads the first rounds only, and drone 0 tells it of the oldest again and again."""
+
+    async def main(clock: Clock) -> int:
+        rule = {"p_good_bad": 0.02, "p_bad_good": 0.1, "loss_bad": 1.0}
+        bus = Bus(clock, Impairment(3, [ImpairmentRule(rule)]))
+        bus.impairment.begin(clock.now())
+        graph = Graph([0, 1], [(0, 1)])
+        sender, reader = (Communicator(bus.port(i), graph) for i in (0, 1))
+
+        async def read() -> None:
+            for _ in range(64):
+                await reader.neighbors_exchange(1)
+
+        async def send() -> int:
+            for k in range(100):
+                while True:
+                    with contextlib.suppress(RoundTimeout):
+                        await sender.neighbors_exchange(0, deadline=0.25)
+                        break
+                    if clock.now() > 60.0:
+                        return k
+            return 100
+
+        _, sent = await asyncio.gather(read(), send())
+        return sent
+
+    assert run_virtual(main) == 100
+
+
 def test_a_lost_message_is_asked_for_before_a_short_deadline():
     """Rounds take longer than the deadline, so each wait is a new try."""
     _, repeats = exchange_rounds(
