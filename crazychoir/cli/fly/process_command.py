@@ -1,7 +1,8 @@
 """What the commands that run one process of a swarm have in common."""
 
+import os
 from collections.abc import Callable
-from typing import Any, NoReturn
+from typing import Any, Final, NoReturn
 
 import typer
 
@@ -14,12 +15,20 @@ from crazychoir.launch.console import (
 )
 from crazychoir.launch.process import ending
 
+BLAS_LIBRARIES: Final = ("OPENBLAS", "MKL", "OMP")
+"""Libraries that multiply matrices with as many threads as the machine has processors."""
+
 
 def begin_process(is_child: bool) -> None:
     """Set up the process of a command.
 
+    Call it before numpy is imported: the matrices of a drone are small, so its process computes them
+    without further threads.
+
     is_child: whether it ends when its parent process has ended
     """
+    for library in BLAS_LIBRARIES:
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     if is_child:
         ending.end_after_parent()
     set_up_logging()
