@@ -1,4 +1,4 @@
-"""The controllers of all drones of a process as records, and the compiled stage that flies them.
+"""The controllers of all drones of a process as records, and the compiled code that flies them.
 
 Each drone has one record of CONTROL_ROW. The objects of control/ that fly it hold parts of the same
 record: its gains are written there, and its memory is read there.
@@ -10,7 +10,6 @@ from typing import Any
 
 import numba
 import numpy as np
-import numpy.typing as npt
 
 from crazychoir.control.attitude import ATTITUDE_ROW, compute_input
 from crazychoir.control.position import (
@@ -24,7 +23,6 @@ from crazychoir.control.velocity import VELOCITY_ROW, compute_velocity
 from crazychoir.numerics.kernels import (
     Records,
     kernel,
-    matrix,
     memory,
     real,
     rows_of,
@@ -36,7 +34,7 @@ from crazychoir.numerics.math3d import (
     rotation_columns,
     rotation_exponential,
 )
-from crazychoir.types import Mat, Vec
+from crazychoir.types import Vec
 
 EARLY_TOLERANCE = 1e-4
 """Seconds that a tick may be early for the next look at the position: clocks and cameras jitter."""
@@ -50,24 +48,9 @@ class ControllerKind(IntEnum):
     BY_HAND = 0
     """In Python: some part of it does not ship, or does not share its record."""
     FLATNESS = 1
-    """By `control_rows`: the position and attitude control that ship."""
+    """By `fly_controller`: the position and attitude control that ship."""
     VELOCITY = 2
-    """By `control_rows`: VelocityCtrlStrategy."""
-
-
-class ControllerChoice(IntEnum):
-    """The controller that flies a drone in this tick, and whether there is a reference for it."""
-
-    NONE = 0
-    """No controller: the record stays as it is."""
-    TRACKER = 1
-    """The tracker, with a FullState as its reference."""
-    FOLLOWER = 2
-    """The follower, with an Acceleration as its reference."""
-    HOLDING_TRACKER = 3
-    """The tracker without a reference: it rests at its last good one."""
-    HOLDING_FOLLOWER = 4
-    """The follower without a reference: no acceleration, with its last heading."""
+    """By `fly_controller`: VelocityCtrlStrategy."""
 
 
 class DesiredSource(IntEnum):
@@ -105,9 +88,6 @@ CONTROL_ROW = np.dtype(
         ("trim", TRIM_ROW),
         ("tracker", CONTROLLER_ROW),  # controller of FullState references
         ("follower", CONTROLLER_ROW),  # controller of Acceleration references
-        ("u", np.float64, 14),  # input of the sender; it uses the first few numbers
-        ("acceleration", np.float64, 3),  # m/s2, world, that the input asks for
-        ("is_left", np.int64),  # 1 if the chosen controller is to be called by hand
     ],
     align=True,
 )
@@ -121,10 +101,6 @@ INPUT_SIZE = 4
 
 It is a thrust and body rates or angles, or a velocity and a yaw rate.
 """
-Choices = npt.NDArray[np.int64]
-"""(n,) of ControllerChoice."""
-choices = numba.types.Array(numba.int64, 1, "C", readonly=True)
-"""An array (n,) of ControllerChoice that a kernel reads."""
 
 
 @kernel()
@@ -305,57 +281,6 @@ def fly_controller_of(
 ) -> None:
     """Apply `fly_controller` to the first record."""
     fly_controller(rows[0], trims[0], x, age, ref, has_reference, now, u)
-
-
-@kernel()
-def _control_row(
-    row: Any, x: Vec, age: float, ref: Vec, choice: int, now: float
-) -> None:
-    """Write the results of one drone; the arguments are as in `control_rows`."""
-    row.is_left = 0
-    if choice == ControllerChoice.NONE:
-        return
-    is_tracker = (
-        choice == ControllerChoice.TRACKER or choice == ControllerChoice.HOLDING_TRACKER
-    )
-    has_reference = (
-        choice == ControllerChoice.TRACKER or choice == ControllerChoice.FOLLOWER
-    )
-    controller = row.tracker if is_tracker else row.follower
-    if controller.kind == ControllerKind.BY_HAND:
-        row.is_left = 1
-        return
-    u = row.u[:INPUT_SIZE]
-    fly_controller(controller, row.trim, x, age, ref, has_reference, now, u)
-    start = FLATNESS_LAYOUT.acceleration_start
-    for c in range(3):
-        row.acceleration[c] = (
-            controller.position.out[start + c]
-            if controller.kind == ControllerKind.FLATNESS
-            else controller.last[6 + c]
-        )
-
-
-@kernel(rows_of(CONTROL_ROW), matrix, vector, matrix, choices, real)
-def control_rows(
-    rows: Records, states: Mat, ages: Vec, references: Mat, chosen: Choices, now: float
-) -> int:
-    """Write the input of each drone, and the acceleration that it asks for.
-
-    rows: (n,) of CONTROL_ROW. Where the chosen controller is called by hand, only is_left is set.
-    states: (n, 13)
-    ages: (n,) s, of the states
-    references: (n, 14), as FullState.flat; for a follower a (6 to 8) and yaw (12) are read
-    chosen: (n,) of ControllerChoice
-    now: s
-    Returns the number of drones that are left to be called by hand.
-    """
-    left = 0
-    for k in range(rows.shape[0]):
-        row = rows[k]
-        _control_row(row, states[k], ages[k], references[k], chosen[k], now)
-        left += row.is_left
-    return left
 
 
 def make_control_rows(count: int = 1) -> Records:

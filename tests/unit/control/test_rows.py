@@ -1,4 +1,4 @@
-"""The stage that flies all drones of a process, beside the same controllers called in Python."""
+"""The records of controllers: the control stage flies them as the same controllers in Python do."""
 
 import numpy as np
 import pytest
@@ -13,14 +13,14 @@ from crazychoir.control.handlers import AccelerationTraj, FullStateTraj, Positio
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
 from crazychoir.control.rows import (
     INPUT_SIZE,
-    ControllerChoice,
     ControllerKind,
-    control_rows,
     make_control_rows,
 )
 from crazychoir.control.senders import FPQRSender, VelSender
 from crazychoir.control.trim import Trim
 from crazychoir.control.velocity import VelocityCtrlStrategy
+from crazychoir.flight.batch import DRONE_ROW, Course, FlightControllerKind
+from crazychoir.flight.stages import control_drones
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.types import Acceleration, FullState, State, Velocity
 
@@ -53,15 +53,51 @@ class Drone:
             AccelerationTraj(),
         )
 
-    def command(self, choice, state, reference, now):
-        """Return the input and the acceleration of the chosen controller."""
-        is_tracker = choice in (
-            ControllerChoice.TRACKER,
-            ControllerChoice.HOLDING_TRACKER,
-        )
-        controller = self.tracker if is_tracker else self.follower
+    def command(self, state, reference, now):
+        """Return the input and the acceleration of the controller that flies the reference."""
+        is_follower = isinstance(reference, Acceleration)
+        controller = self.follower if is_follower else self.tracker
         u = controller.command(state, reference, now).flat
         return u, controller.acceleration
+
+
+class Crowd:
+    """Drones as the control stage of a tick has them, with the records of their controllers."""
+
+    def __init__(self, controls):
+        self.controls = controls
+        self.drones = np.zeros(len(controls), DRONE_ROW)
+        self.drones["ticks"] = 1
+        self.drones["course"] = Course.FOLLOW
+        self.drones["sends_rows"] = 1
+        self.drones["has_world_row"] = 1
+        self.drones["learns_trim"] = 1
+
+    def want(self, k, state, reference):
+        """Let drone k in this state fly a reference."""
+        drone = self.drones[k]
+        drone["state"] = state.flat
+        drone["age"] = state.age
+        # The numbers that a follower does not read are 9.
+        drone["wanted"] = 9.0
+        if isinstance(reference, Acceleration):
+            drone["controller"] = FlightControllerKind.FOLLOWER
+            drone["wanted"][6:9] = reference.a
+            drone["wanted"][12] = reference.yaw
+        else:
+            drone["controller"] = FlightControllerKind.TRACKER
+            drone["wanted"] = reference.flat
+
+    def fly(self, now):
+        """Fly all drones, and return the rows with a command that is made or sent in Python."""
+        found = np.full(len(self.drones), -1, np.int64)
+        count = control_drones(self.drones, self.controls, now, found)
+        return found[:count].tolist()
+
+    def result(self, k):
+        """Return the input of drone k, and the acceleration that it asks for."""
+        drone = self.drones[k]
+        return drone["command"][:INPUT_SIZE], drone["commanded"]
 
 
 def make(sender="fpqr", rate=0.0, rows=None) -> Controls:
@@ -84,63 +120,21 @@ def draw_state(random) -> State:
 
 
 def draw_reference(random):
-    """A reference of either kind that may jump or be broken, or none."""
-    if random.random() < 0.1:
-        return None
+    """A reference of either kind that may jump or be broken."""
     if random.random() < 0.5:
         a = random.normal(size=3)
         if random.random() < 0.1:
             a[1] = np.nan
         return Acceleration(a, float(random.normal()))
+    return draw_full_state(random)
+
+
+def draw_full_state(random) -> FullState:
+    """A full state that may jump or be broken."""
     flat = random.normal(size=14) * random.choice([0.01, 0.5, 5.0])
     if random.random() < 0.1:
         flat[random.integers(14)] = np.nan
     return FullState(flat)
-
-
-def draw_choice(random, reference) -> ControllerChoice:
-    if isinstance(reference, FullState):
-        return ControllerChoice.TRACKER
-    if isinstance(reference, Acceleration):
-        return ControllerChoice.FOLLOWER
-    return random.choice(
-        [ControllerChoice.HOLDING_TRACKER, ControllerChoice.HOLDING_FOLLOWER]
-    )
-
-
-def write_reference(reference) -> np.ndarray:
-    """The row (14,) of a reference; the numbers that its controller does not read are 9."""
-    row = np.full(14, 9.0)
-    if isinstance(reference, FullState):
-        row[:] = reference.flat
-    if isinstance(reference, Acceleration):
-        row[6:9] = reference.a
-        row[12] = reference.yaw
-    return row
-
-
-def draw_crowd(random):
-    """States, references and choices of other drones."""
-    states = [draw_state(random).flat for _ in range(CROWD)]
-    references = [draw_reference(random) for _ in range(CROWD)]
-    choices = [draw_choice(random, reference) for reference in references]
-    return (
-        np.array(states),
-        np.array([write_reference(reference) for reference in references]),
-        np.array(choices, dtype=np.int64),
-    )
-
-
-def fly_rows(rows, state, reference, choice, now):
-    """Fly one row by the stage, and return how many rows it leaves."""
-    return control_rows(
-        rows,
-        state.flat[None],
-        np.array([state.age]),
-        write_reference(reference)[None],
-        np.array([choice], dtype=np.int64),
-        now,
-    )
 
 
 def as_bits(*arrays):
@@ -150,89 +144,124 @@ def as_bits(*arrays):
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("rate", [0.0, 50.0])
 @pytest.mark.parametrize("sender", ["fpqr", "frpy"])
-def test_a_row_flies_alike_alone_among_others_and_in_python(sender, rate, seed):
+def test_a_drone_flies_alike_alone_among_others_and_in_python(sender, rate, seed):
     random = np.random.default_rng(seed)
-    alone = make_control_rows(1)
-    crowd = make_control_rows(CROWD)
-    controls = [make(sender, rate, alone)]
-    controls += [make(sender, rate, crowd[k : k + 1]) for k in range(CROWD)]
+    alone = Crowd(make_control_rows(1))
+    crowd = Crowd(make_control_rows(CROWD))
+    make(sender, rate, alone.controls)
+    for k in range(CROWD):
+        make(sender, rate, crowd.controls[k : k + 1])
     drone = Drone(sender, rate)
+    learns = True
     now = 0.0
     for _ in range(TICKS):
         now += random.choice([0.0, 0.003, 0.01, 0.01, 0.01, 0.02, 1.5])
         if random.random() < 0.05:
-            for trim in (drone.trim, *(each.trim for each in controls)):
-                trim.frozen = not trim.frozen
+            learns = not learns
         state = draw_state(random)
         reference = draw_reference(random)
-        choice = draw_choice(random, reference)
-        states, references, choices = draw_crowd(random)
-        states[PLACE] = state.flat
-        references[PLACE] = write_reference(reference)
-        choices[PLACE] = choice
-        ages = np.full(CROWD, state.age)
+        for k in range(CROWD):
+            crowd.want(k, draw_state(random), draw_reference(random))
+        for flown, k in ((alone, 0), (crowd, PLACE)):
+            flown.want(k, state, reference)
+            flown.drones[k]["learns_trim"] = learns
+        if isinstance(reference, FullState):
+            drone.trim.frozen = not learns
 
-        expected = as_bits(
-            *drone.command(choice, state, reference, now), drone.trim.flat
-        )
-        fly_rows(alone, state, reference, choice, now)
-        control_rows(crowd, states, ages, references, choices, now)
+        expected = as_bits(*drone.command(state, reference, now), drone.trim.flat)
+        assert alone.fly(now) == []
+        assert crowd.fly(now) == []
 
-        for row in (alone[0], crowd[PLACE]):
-            assert expected == as_bits(
-                row["u"][:INPUT_SIZE], row["acceleration"], row["trim"]["flat"]
-            )
-    assert drone.tracker.refused > 5
-    assert drone.tracker.refused == alone["tracker"]["refused"][0]
-    assert drone.follower.refused == alone["follower"]["refused"][0]
+        for flown, k in ((alone, 0), (crowd, PLACE)):
+            trim = flown.controls[k]["trim"]["flat"]
+            assert as_bits(*flown.result(k), trim) == expected
+    assert drone.tracker.refused > 3
+    assert drone.tracker.refused == alone.controls["tracker"]["refused"][0]
+    assert drone.follower.refused == alone.controls["follower"]["refused"][0]
     assert drone.trim.flat.any()
 
 
 @pytest.mark.parametrize("rate", [0.0, 50.0])
-def test_the_command_of_a_controller_is_that_of_its_row(rate):
+def test_the_command_of_a_controller_is_that_of_the_stage(rate):
     random = np.random.default_rng(4)
     controls = make(rate=rate)
-    rows = make_control_rows()
-    make(rate=rate, rows=rows)
+    controls.trim.frozen = False
+    alone = Crowd(make_control_rows())
+    make(rate=rate, rows=alone.controls)
     for k in range(TICKS):
         state = draw_state(random)
         reference = draw_reference(random)
-        choice = draw_choice(random, reference)
-        is_tracker = choice in (1, 3)
-        controller = controls.tracker if is_tracker else controls.follower
+        is_follower = isinstance(reference, Acceleration)
+        controller = controls.follower if is_follower else controls.tracker
 
         u = controller.command(state, reference, 0.01 * k).flat
-        fly_rows(rows, state, reference, choice, 0.01 * k)
+        alone.want(0, state, reference)
+        alone.fly(0.01 * k)
 
-        assert as_bits(u, controller.acceleration) == as_bits(
-            rows["u"][0, :INPUT_SIZE], rows["acceleration"][0]
+        assert as_bits(u, controller.acceleration) == as_bits(*alone.result(0))
+
+
+@pytest.mark.parametrize("rate", [0.0, 50.0])
+@pytest.mark.parametrize("part", ["tracker", "follower"])
+def test_a_controller_without_a_reference_holds_alike_in_python(part, rate):
+    random = np.random.default_rng(6)
+    compiled = getattr(make(rate=rate), part)
+    python = getattr(Drone("fpqr", rate), part)
+    for k in range(TICKS):
+        state = draw_state(random)
+        reference = draw_full_state(random)
+        if part == "follower":
+            reference = Acceleration(reference.a, reference.yaw)
+        if random.random() < 0.5:
+            reference = None
+
+        u = compiled.command(state, reference, 0.01 * k).flat
+        expected = python.command(state, reference, 0.01 * k).flat
+
+        assert as_bits(u, compiled.acceleration) == as_bits(
+            expected, python.acceleration
         )
+    assert compiled.rows["kind"][0] == ControllerKind.FLATNESS
+    assert python.rows["kind"][0] == ControllerKind.BY_HAND
 
 
-def test_velocities_of_a_row_are_those_of_python():
+def test_velocities_in_compiled_code_are_those_of_python():
     random = np.random.default_rng(5)
-    rows = make_control_rows()
-    make("vel", rows=rows)
+    compiled = make("vel").tracker
+    alone = Crowd(make_control_rows())
+    make("vel", rows=alone.controls)
     python = VelocityController(VelocityCtrlStrategy(), VelSender(), FullStateTraj())
     for k in range(TICKS):
         state = draw_state(random)
-        reference = draw_reference(random)
-        if isinstance(reference, Acceleration):
-            reference = None
-        choice = (
-            ControllerChoice.HOLDING_TRACKER
-            if reference is None
-            else ControllerChoice.TRACKER
-        )
+        reference = draw_full_state(random)
 
-        u = python.command(state, reference, 0.01 * k).flat
-        assert fly_rows(rows, state, reference, choice, 0.01 * k) == 0
+        expected = python.command(state, reference, 0.01 * k).flat
+        u = compiled.command(state, reference, 0.01 * k).flat
+        alone.want(0, state, reference)
+        assert alone.fly(0.01 * k) == []
 
-        assert as_bits(u, python.acceleration) == as_bits(
-            rows["u"][0, :INPUT_SIZE], rows["acceleration"][0]
-        )
+        bits = as_bits(expected, python.acceleration)
+        assert as_bits(u, compiled.acceleration) == bits
+        assert as_bits(*alone.result(0)) == bits
     assert python.rows["kind"][0] == ControllerKind.BY_HAND
-    assert python.refused == rows["tracker"]["refused"][0] > 5
+    assert compiled.rows["kind"][0] == ControllerKind.VELOCITY
+    assert python.refused == compiled.refused > 5
+
+
+def test_velocities_without_a_reference_are_those_of_python():
+    random = np.random.default_rng(7)
+    compiled = make("vel").tracker
+    python = VelocityController(VelocityCtrlStrategy(), VelSender(), FullStateTraj())
+    for k in range(TICKS):
+        state = draw_state(random)
+        reference = draw_full_state(random) if random.random() < 0.5 else None
+
+        u = compiled.command(state, reference, 0.01 * k).flat
+        expected = python.command(state, reference, 0.01 * k).flat
+
+        assert as_bits(u, compiled.acceleration) == as_bits(
+            expected, python.acceleration
+        )
 
 
 @pytest.mark.parametrize("rate", [0.0, 50.0])
@@ -250,50 +279,72 @@ def test_a_reference_of_another_kind_is_refused_alike_in_python(rate):
 
 
 def test_a_drone_without_any_reference_rests_where_it_was_first():
-    rows = make_control_rows()
-    make(rows=rows)
-    fly_rows(rows, HERE, None, ControllerChoice.HOLDING_TRACKER, 0.0)
+    tracker = make().tracker
+    tracker.command(HERE, None, 0.0)
 
-    fly_rows(
-        rows, State.at((-1.0, 0.0, 1.0)), None, ControllerChoice.HOLDING_TRACKER, 0.1
-    )
+    u = tracker.command(State.at((-1.0, 0.0, 1.0)), None, 0.1).flat
 
-    assert rows["u"][0, 2] > 0.1, "it pitches forward"
+    assert u[2] > 0.1, "it pitches forward"
 
 
-def test_a_drone_without_a_controller_keeps_its_row():
-    rows = make_control_rows()
-    make(rows=rows)
-    fly_rows(rows, HERE, HOVER, ControllerChoice.TRACKER, 0.0)
-    before = rows.tobytes()
+@pytest.mark.parametrize(
+    ("ticks", "course"),
+    [(0, Course.FOLLOW), (1, Course.NOTHING), (1, Course.IDLE)],
+)
+def test_the_controller_of_a_drone_that_does_not_fly_keeps_its_record(ticks, course):
+    alone = Crowd(make_control_rows())
+    make(rows=alone.controls)
+    alone.want(0, HERE, HOVER)
+    alone.fly(0.0)
+    before = alone.controls.tobytes()
 
-    fly_rows(rows, State.at((5.0, 0.0, 1.0)), HOVER, ControllerChoice.NONE, 0.01)
+    alone.drones["ticks"] = ticks
+    alone.drones["course"] = course
+    alone.want(0, State.at((5.0, 0.0, 1.0)), HOVER)
 
-    assert rows.tobytes() == before
+    assert alone.fly(0.01) == []
+    assert alone.controls.tobytes() == before
+    is_idle = course == Course.IDLE
+    assert alone.drones["is_computed"][0] == is_idle
+    assert alone.drones["command"].any() != is_idle
 
 
 @pytest.mark.parametrize("sender", ["xyz", "fullstate"])
 def test_controllers_that_do_not_ship_compiled_are_called_by_hand(sender):
-    rows = make_control_rows()
-    make(sender, rows=rows)
+    alone = Crowd(make_control_rows())
+    make(sender, rows=alone.controls)
+    alone.want(0, HERE, HOVER)
 
-    left = fly_rows(rows, HERE, HOVER, ControllerChoice.TRACKER, 0.0)
+    assert alone.fly(0.0) == [0]
+    assert alone.controls["tracker"]["kind"][0] == ControllerKind.BY_HAND
+    assert alone.drones["is_computed"][0] == 0
+    assert not alone.drones["command"].any()
 
-    assert rows["tracker"]["kind"][0] == ControllerKind.BY_HAND
-    assert (left, rows["is_left"][0]) == (1, 1)
-    assert not rows["u"].any()
+
+def test_drones_with_a_controller_in_python_are_found():
+    crowd = Crowd(make_control_rows(4))
+    controls = [make(rows=crowd.controls[k : k + 1]) for k in range(4)]
+    controls[1].tracker.traj_handler = PositionTraj()
+    controls[2].follower.pos_strategy = FlatnessAccelerationCtrl(FORMATION_GAINS)
+    for k in range(4):
+        crowd.want(k, HERE, HOVER)
+
+    assert crowd.fly(0.0) == [1]
+    assert crowd.drones["is_computed"].tolist() == [1, 0, 1, 1]
+
+    crowd.want(2, HERE, Acceleration(np.zeros(3)))
+    assert crowd.fly(0.01) == [1, 2]
 
 
-def test_a_row_that_is_flown_or_rests_is_not_left():
-    rows = make_control_rows()
-    make("xyz", rows=rows)
-    fly_rows(rows, HERE, HOVER, ControllerChoice.TRACKER, 0.0)
+def test_drones_with_a_command_for_another_process_are_found():
+    crowd = Crowd(make_control_rows(2))
+    for k in range(2):
+        make(rows=crowd.controls[k : k + 1])
+        crowd.want(k, HERE, HOVER)
+    crowd.drones["has_world_row"][1] = 0
 
-    assert fly_rows(rows, HERE, HOVER, ControllerChoice.NONE, 0.0) == 0
-
-    make(rows=rows)
-    assert fly_rows(rows, HERE, HOVER, ControllerChoice.TRACKER, 0.0) == 0
-    assert rows["is_left"][0] == 0
+    assert crowd.fly(0.0) == [1]
+    assert crowd.drones["is_computed"].tolist() == [1, 1]
 
 
 @pytest.mark.parametrize(
@@ -351,12 +402,12 @@ def test_new_gains_act_in_the_row():
 
 
 def test_a_row_begins_anew_with_its_controls():
-    rows = make_control_rows()
+    alone = Crowd(make_control_rows())
+    rows = alone.controls
     fresh = make(rows=rows).rows.tobytes()
-    controls = make(rows=rows)
-    controls.trim.frozen = False
     for k in range(5):
-        fly_rows(rows, HERE, FullState.at((0.05, 0, 1)), 1, 0.01 * k)
+        alone.want(0, HERE, FullState.at((0.05, 0, 1)))
+        alone.fly(0.01 * k)
     assert rows.tobytes() != fresh
 
     make(rows=rows)
