@@ -44,6 +44,7 @@ def make_pilot(
     state_filter=None,
     collision=None,
     shared=None,
+    row=None,
     **setup,
 ):
     """Return the pilot of a drone with this link, in this room.
@@ -51,6 +52,7 @@ def make_pilot(
     Behind a radio its body tells what a test wants.
 
     shared: the tick that the drone shares with others; None for one of its own
+    row: record of the drone in the batch of the tick; None for a new one
     setup: fields of FlightSetup
     """
     has_radio = setup.get("reach", "no") != "no"
@@ -61,6 +63,7 @@ def make_pilot(
         state_filter,
         collision,
         shared,
+        row,
     )
 
 

@@ -17,7 +17,7 @@ class NeighbourAges(NamedTuple):
     """Seconds of silence after which a drone that flew counts as not heard.
 
     If this holds for more than half of the other flying drones, this drone is cut off, see
-    CollisionFilter.cut_off.
+    `is_cut_off` in AVOID_ROW.
     """
     gone: float = 10.0
     """Seconds after which a drone that no other drone hears has come down, see RelayedStates.

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from crazychoir.numerics.kernels import NO_COUNTING, kernel, real, rows_of, table
+from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import Triple, clip, dot
-from crazychoir.safety.airspace.airspace_rows import LISTENER_ROW, MOTION_ROW
 from crazychoir.safety.airspace.distances import BRAKING_MODEL, COLLISION_DISTANCES
 from crazychoir.safety.airspace.motion import (
     compute_norm,
@@ -39,7 +38,6 @@ MOST_NEIGHBOURS = 16
 AVOID_ROW = np.dtype(
     [
         # What the drone wants
-        ("is_asked", np.int64),  # 1: the drone flies and asks whether its way is clear
         ("state", np.float64, 13),  # as State.flat
         ("acceleration", np.float64, 3),  # m/s2, commanded in the last tick
         ("reference", np.float64, 14),  # as FullState.flat
@@ -374,7 +372,26 @@ def avoid_row(
     planes: Mat,
     near: Mat,
 ) -> None:
-    """Apply the law of CollisionFilter to one drone.
+    """Turn the wanted acceleration of one drone into a safe one, by the states of this drone and the others.
+
+        min |u - u_n|^2   s.t.   n_ij . S u >= share b_ij  for each other drone j in range,
+                                 |u_c| <= most,  the fence
+        |S (p_i - p_j)| >= D,   S = diag(1, s_x / s_y, s_x / s_z),   D = 2 s_x + margin
+
+    s: semi-axes of the ellipsoid around each drone
+    b_ij: of `compute_barrier_acceleration`, or of `compute_cell_acceleration` for another drone that gives way as well
+    u_n: what is wanted, turned to the side where another drone is in the way
+
+    Places and velocities are those of `predict_late_motion`, so that the lag of the drones counts. Constraints
+    that cannot all be met are relaxed by the least violation: the fence first, the nearest drone
+    last, the floor never. Drones on the floor are balls of COLLISION_DISTANCES.standing_drone m; a drone that takes
+    off ignores them.
+
+    A drone brakes if another drone that may be near has been silent for NEIGHBOUR_AGES.usable s, or if more than
+    half of the other drones that flew have been silent for NEIGHBOUR_AGES.silent s. It does not brake for this
+    while it lands. It keeps clear of the place where the silent drone is if that drone brakes too.
+    After the same silence a drone on the floor may have taken off: this one keeps beside its place, at any
+    height.
 
     Most drones have a clear way: it is found with few half spaces, and without the nearest point.
 
@@ -423,35 +440,3 @@ def avoid_row(
         row.safe[c] = u[c]
     if row.follows != 0:
         note_giving_way(row, row.state, row.reference, now)
-
-
-@kernel(
-    rows_of(AVOID_ROW),
-    rows_of(LISTENER_ROW),
-    rows_of(MOTION_ROW),
-    real,
-    table,
-    table,
-    **NO_COUNTING,
-)
-def avoid_rows(
-    rows: Records,
-    listeners: Records,
-    motions: Records,
-    now: float,
-    planes: Mat,
-    near: Mat,
-) -> None:
-    """Apply avoid_row to all drones that ask.
-
-    rows: AVOID_ROW
-    listeners: LISTENER_ROW
-    motions: MOTION_ROW, of the pairs
-    now: s
-    planes: (., 4): work space, see make_planes
-    near: work space, see make_nearest
-    """
-    for i in range(rows.shape[0]):
-        row = rows[i]
-        if row.is_asked != 0:
-            avoid_row(row, listeners[row.listener], motions, now, planes, near)

@@ -19,6 +19,7 @@ from crazychoir.flight.clearance import CLEARANCE_TIMES
 from crazychoir.flight.flight_limits import TOUCHDOWN_LIMITS
 from crazychoir.flight.pilot import GIVE_UP_HOVER
 from crazychoir.flight.stages import _evade
+from crazychoir.flight.tick import FlightTick
 from crazychoir.planning.point_to_point import STOP_DISTANCE, plan_stop
 from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.runtime.clock import run_virtual
@@ -1435,14 +1436,20 @@ async def test_a_drone_that_landed_for_silence_flies_again_when_it_hears_the_oth
     airspace = Airspace(drone.bus, (0, *others), rules)
     traffic = Neighbours(airspace, 0, keeps_all=True)
     room = Fence.box((-3.0, -3.0, 0.0), (3.0, 3.0, 2.5))
+    flight_tick = FlightTick(drone.bus)
+    flight_tick.airspace = airspace
+    row = flight_tick.batch.add(0)
     drone.pilot = make_pilot(
         drone.bus.ports[0],
         SimulatedLink(drone.world, 0),
         FlightTable(takeoff_height=0.3),
         room,
-        collision=CollisionFilter(CollisionTable(), traffic, room, 2.0, 1.0, 0.0),
+        collision=CollisionFilter(
+            CollisionTable(), traffic, room, 2.0, 1.0, 0.0, row.avoid
+        ),
+        shared=flight_tick,
+        row=row,
     )
-    drone.pilot.tick.airspace = airspace
 
     def heard():
         for j in others:

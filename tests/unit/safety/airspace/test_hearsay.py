@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from avoiding import AvoidingDrone
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.port import Bus
@@ -22,7 +23,6 @@ from crazychoir.safety.airspace.state_rates import (
     RELAY_REQUESTS,
     STATE_RATES,
 )
-from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, State
 
@@ -31,11 +31,11 @@ HERE = (-1.0, 0.0, 1.0)
 
 
 class Team:
-    """Drones with their filters on one bus; 0 does not hear 1, which is elsewhere than it knows."""
+    """Drones with their collision filters on one bus; 0 does not hear 1, which is elsewhere than it knows."""
 
-    def __init__(self, drones=4, flown=None):
+    def __init__(self, count=4, flown=None):
         """flown: number of drones that are here; None: all"""
-        flown = drones if flown is None else flown
+        flown = count if flown is None else flown
         self.seconds = 0.0
         self.bus = Bus(
             SimpleNamespace(
@@ -46,18 +46,16 @@ class Team:
         for i in range(flown):
             self.bus.port(i)
         rules = AirspaceRules(CollisionTable(), 1.0, 0.0)
-        self.airspace = Airspace(self.bus, range(drones), rules)
-        self.filters = [self.filter_of(i) for i in range(flown)]
+        self.airspace = Airspace(self.bus, range(count), rules)
+        self.drones = [self.make_drone(i) for i in range(flown)]
         self.asked = []
         self.questions = []
         for i in range(flown):
             self.spy(i)
 
-    def filter_of(self, i):
+    def make_drone(self, i):
         traffic = Neighbours(self.airspace, i, keeps_all=True)
-        return CollisionFilter(
-            CollisionTable(), traffic, FENCE, a_max=2.0, v_max=1.0, ground=0.0
-        )
+        return AvoidingDrone(CollisionTable(), traffic, FENCE, STANDARD_GAINS.position)
 
     def spy(self, i):
         taken = self.bus.ports[i].handlers[MESSAGE_TOPICS.wanted_states.number]
@@ -75,18 +73,18 @@ class Team:
             self.questions.append((self.seconds, i, decode(payload)))
 
     def row(self, i, j):
-        return self.filters[i].traffic.row(j)
+        return self.drones[i].traffic.row(j)
 
     def check(self):
         """Let drone 0 check the distances, and ask."""
         self.airspace.publish(0, State.at(HERE), 0.0)
         if 0 in self.airspace.step():
-            self.filters[0].hearsay.seek()
+            self.drones[0].hearsay.seek()
 
     def say(self, j, p, to, v=(0.0, 0.0, 0.0)):
         """Drone j says its state to some."""
         for i in to:
-            self.filters[i].traffic.hear((j, State.at(p, v)), 0.0)
+            self.drones[i].traffic.hear((j, State.at(p, v)), 0.0)
 
     def fly(self, seconds, one=(3.0, 0.0, 1.0), hear_one=(2, 3)):
         """Fly drone 0 towards drone 1, which only some drones hear; all others hear each other ten times a second."""
@@ -94,22 +92,18 @@ class Team:
         for _ in range(round(seconds / STATE_RATES.check_interval)):
             self.seconds += STATE_RATES.check_interval
             self.say(1, one, hear_one)
-            for j in range(2, len(self.filters)):
+            for j in range(2, len(self.drones)):
                 self.say(
                     j,
                     (0.0, float(j), 1.0),
-                    [i for i in range(len(self.filters)) if i != j],
+                    [i for i in range(len(self.drones)) if i != j],
                 )
             me, to = (
                 State.at(HERE, (0.5, 0.0, 0.0)),
                 FullState.at((1.0, 0.0, 1.0), (0.5, 0.0, 0.0)).flat,
             )
             self.check()
-            acted.append(
-                self.filters[0].full_state(
-                    me, to, STANDARD_GAINS.position, self.seconds
-                )
-            )
+            acted.append(self.drones[0].fly_full_state(me, to, self.seconds))
         return acted
 
 
@@ -127,7 +121,7 @@ def test_an_unheard_drone_is_reported_by_others_and_does_not_count_as_heard():
         "newer than it could have come near since"
     )
     assert team.seconds - row["heard_time"] == pytest.approx(20.0)
-    assert not team.filters[0].cut_off
+    assert not team.drones[0].is_cut_off
     assert set(team.asked) == {2, 3}
 
 
@@ -325,13 +319,11 @@ def test_a_drone_that_hears_no_more_than_half_is_cut_off_whatever_it_is_told():
         team.say(j, (2.0, float(j), 1.0), [0])
     team.seconds = NEIGHBOUR_AGES.silent + 0.1
     for j in (1, 2, 3):
-        team.filters[0].traffic.told((j, State.at((2.0, float(j), 1.0))), 0.0)
+        team.drones[0].traffic.told((j, State.at((2.0, float(j), 1.0))), 0.0)
     team.say(4, (2.0, 4.0, 1.0), [0])
     to = FullState.at(HERE).flat
-    team.filters[0].full_state(
-        State.at(HERE), to, STANDARD_GAINS.position, team.seconds
-    )
-    assert team.filters[0].cut_off
+    team.drones[0].fly_full_state(State.at(HERE), to, team.seconds)
+    assert team.drones[0].is_cut_off
 
 
 def test_only_what_is_new_is_told_with_its_age_and_that_of_the_way():
@@ -361,11 +353,10 @@ def test_those_are_asked_that_are_heard_themselves():
         team.seconds += STATE_RATES.check_interval
         team.say(2, (5.0, 5.0, 1.0), [0])
         for j in (3, 4):
-            team.filters[0].traffic.told((j, State.at((0.0, float(j), 1.0))), 0.0)
-        team.filters[0].full_state(
+            team.drones[0].traffic.told((j, State.at((0.0, float(j), 1.0))), 0.0)
+        team.drones[0].fly_full_state(
             State.at(HERE),
             FullState.at(HERE).flat,
-            STANDARD_GAINS.position,
             team.seconds,
         )
         team.check()
@@ -392,10 +383,9 @@ def test_all_that_are_heard_are_asked_in_turn_however_many_are_sought():
         for j in range(1, 5):
             team.say(j, (0.0, float(j), 1.0), [0])
         team.say(8, (5.0, 0.0, 1.0), [4])
-        team.filters[0].full_state(
+        team.drones[0].fly_full_state(
             State.at(HERE),
             FullState.at(HERE).flat,
-            STANDARD_GAINS.position,
             team.seconds,
         )
         team.check()
@@ -407,8 +397,8 @@ def test_a_late_direct_state_still_counts_as_heard_beside_earlier_reports():
     team = Team()
     for _ in range(50):
         team.seconds += STATE_RATES.check_interval
-        team.filters[0].traffic.told((1, State.at((3.0, 0.0, 1.0))), 0.3)
-        team.filters[0].traffic.hear((1, State.at((2.0, 0.0, 1.0))), 0.4)
+        team.drones[0].traffic.told((1, State.at((3.0, 0.0, 1.0))), 0.3)
+        team.drones[0].traffic.hear((1, State.at((2.0, 0.0, 1.0))), 0.4)
     assert team.row(0, 1)["state"][0] == 3.0
     assert team.seconds - team.row(0, 1)["heard_time"] == pytest.approx(0.4)
 
@@ -451,10 +441,10 @@ GARBAGE = [
 )
 def test_what_is_no_message_is_counted_and_changes_nothing(topic, payload):
     team = Team()
-    before = team.filters[0].traffic.rows.copy()
+    before = team.drones[0].traffic.rows.copy()
     team.bus.ports[0].handlers[topic.number](2, payload, 1, "", 0, 0.0)
     assert team.bus.ports[0].counters.malformed == 1
-    np.testing.assert_array_equal(team.filters[0].traffic.rows, before)
+    np.testing.assert_array_equal(team.drones[0].traffic.rows, before)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308, -1e9])
@@ -463,11 +453,11 @@ def test_a_state_that_is_none_is_not_heard(part, bad):
     """Numbers that overflow on the way would make a drone invisible."""
     team = Team()
     team.say(1, (0.0, 0.0, 1.0), [0])
-    before = team.filters[0].traffic.rows.copy()
+    before = team.drones[0].traffic.rows.copy()
     flat, a = State.at((0.0, 0.0, 1.0)).flat, np.zeros(3)
     (flat if part == "flat" else a)[0] = bad
-    team.filters[0].traffic.hear((1, State(flat, 0.0, a)), 0.0)
-    np.testing.assert_array_equal(team.filters[0].traffic.rows, before)
+    team.drones[0].traffic.hear((1, State(flat, 0.0, a)), 0.0)
+    np.testing.assert_array_equal(team.drones[0].traffic.rows, before)
     assert MESSAGE_TOPICS.wanted_states.impaired
     assert MESSAGE_TOPICS.relayed_states.impaired, (
         "the simulated network acts on them too"

@@ -3,6 +3,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from avoiding import AvoidingDrone
 
 from crazychoir.bus.port import Bus
 from crazychoir.config.tables import CollisionTable
@@ -17,7 +18,6 @@ from crazychoir.safety.collision.avoidance import (
     make_nearest,
     make_planes,
 )
-from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.collision.projection import project
 from crazychoir.safety.rules.guard import Fence
 from crazychoir.types import FullState, State
@@ -37,15 +37,13 @@ class Sky:
         rules = AirspaceRules(settings, 1.0, 0.0, tuple(alone))
         airspace = Airspace(self.bus, range(1 + others), rules)
         self.traffic = Neighbours(airspace, 0, keeps_all=True)
-        self.filter = CollisionFilter(
-            settings, self.traffic, FENCE, a_max=2.0, v_max=1.0, ground=0.0
-        )
+        self.drone = AvoidingDrone(settings, self.traffic, FENCE, GAINS)
 
     def hears(self, j, p, v=(0.0, 0.0, 0.0), age=0.0):
         self.traffic.hear((j, State.at(p, v)), age)
 
     def wants(self, me, to, now=0.0):
-        return self.filter.full_state(me, FullState.at(to).flat, GAINS, now)
+        return self.drone.fly_full_state(me, FullState.at(to).flat, now)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -66,7 +64,7 @@ def test_a_drone_that_flies_at_another_brakes_and_turns_to_its_right(method):
     a = sky.wants(State.at((0.0, 0.0, 1.0), (0.8, 0.0, 0.0)), (3.0, 0.0, 1.0))
     assert a[0] < -1.0
     assert a[1] < -0.1, "n points to -x: e3 x n to -y"
-    assert sky.filter.gives_way_to == 1
+    assert sky.drone.gives_way_to == 1
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -75,8 +73,8 @@ def test_a_drone_gives_way_to_the_nearest_of_two_in_the_way(method):
     sky.hears(1, (0.9, 0.0, 1.0), (-0.8, 0.0, 0.0))
     sky.hears(2, (0.6, 0.0, 1.0), (-0.8, 0.0, 0.0))
     sky.wants(State.at((0.0, 0.0, 1.0), (0.8, 0.0, 0.0)), (3.0, 0.0, 1.0))
-    assert sky.filter.gives_way_to == 2
-    assert list(sky.filter._near[:2, 1]) == [1.0, 0.0], "both are in the table"
+    assert sky.drone.gives_way_to == 2
+    assert list(sky.drone.near[:2, 1]) == [1.0, 0.0], "both are in the table"
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -136,19 +134,19 @@ def test_a_drone_brakes_for_a_stale_near_neighbour_until_that_has_landed():
 
 
 @pytest.mark.parametrize(
-    ("heard", "silent", "cut_off"),
+    ("heard", "silent", "is_cut_off"),
     [(0, 1, True), (1, 1, False), (1, 2, True), (2, 2, False), (2, 3, True)],
 )
 def test_a_drone_that_hears_no_more_than_half_of_the_flying_drones_brakes(
-    heard, silent, cut_off
+    heard, silent, is_cut_off
 ):
     sky = Sky(others=heard + silent + 1)
     for j in range(1, 1 + heard + silent):
         sky.hears(j, (3.9, 0.5 * j - 1.5, 2.0), age=0.0 if j <= heard else 1.6)
     sky.hears(heard + silent + 1, (3.9, 3.9, 0.02))
     a = sky.wants(State.at((-3.0, 0.0, 1.0), (0.5, 0.0, 0.0)), (-2.0, 0.0, 1.0))
-    assert sky.filter.cut_off is cut_off
-    assert bool(a is not None and a[0] < -0.5) is cut_off
+    assert sky.drone.is_cut_off is is_cut_off
+    assert bool(a is not None and a[0] < -0.5) is is_cut_off
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -160,12 +158,12 @@ def test_a_drone_keeps_beside_the_air_above_a_drone_on_the_floor_that_fell_silen
     sky.hears(1, (0.5, 0.05, 0.02))
     assert sky.wants(me, goal, now=1.4) is None, "it stands there"
     assert sky.wants(me, goal, now=1.6)[0] < -0.5, "it may have taken off"
-    assert sky.filter.gives_way_to == 1
+    assert sky.drone.gives_way_to == 1
     assert sky.wants(me, goal, now=NEIGHBOUR_AGES.gone) is None, "it is down again"
     beside = State.at((0.28, 0.05, 2.0))
     down = FullState.at((0.28, 0.05, 1.99)).flat
-    assert sky.filter.full_state(beside, down, GAINS, 1.6)[0] < -0.05
-    assert sky.filter.full_state(beside, down, GAINS, 1.6, lands=True) is None
+    assert sky.drone.fly_full_state(beside, down, 1.6)[0] < -0.05
+    assert sky.drone.fly_full_state(beside, down, 1.6, lands=True) is None
 
 
 @pytest.mark.parametrize("velocity", [(0.0, 0.0, 0.0), (0.0, 0.0, -1.0)])
@@ -192,7 +190,7 @@ def test_a_braking_drone_stays_where_it_came_to_rest():
     sky.hears(1, (3.9, 3.9, 1.0), age=1.6)
     for x, v in ((0.0, 0.5), (0.1, 0.1), (0.2, 0.1)):
         a = sky.wants(State.at((x, 0.0, 1.0), (v, 0.0, 0.0)), (1.0, 0.0, 1.0))
-    assert sky.filter.gives_way_to is None
+    assert sky.drone.gives_way_to is None
     assert a[0] == pytest.approx(-4.0 * 0.1 - 4.0 * 0.1)
 
 
@@ -223,7 +221,7 @@ def test_the_touching_one_of_two_unavoidable_drones_counts_first():
     sky.hears(1, (0.0, 0.16, 0.02))
     sky.hears(2, (0.0, -0.31, 0.15))
     sky.wants(State.at((0.0, 0.0, 0.15), (0.0, 0.0, -0.2)), (0.0, 0.0, 0.0))
-    assert list(sky.filter._near[:2, 1]) == [1.0, 0.0]
+    assert list(sky.drone.near[:2, 1]) == [1.0, 0.0]
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -264,9 +262,9 @@ def test_a_landing_drone_does_not_brake_for_an_unheard_one(method):
     sky, me = Sky(method), State.at((0.0, 0.0, 1.0), (0.0, 0.0, -0.3))
     sky.hears(1, (0.7, 0.0, 1.0))
     down = FullState.at((0.0, 0.0, 0.99), (0.0, 0.0, -0.3)).flat
-    assert sky.filter.full_state(me, down, GAINS, 0.8)[2] > 0.5, "it brakes"
-    assert sky.filter.full_state(me, down, GAINS, 0.8, lands=True) is None
-    assert sky.filter.full_state(me, down, GAINS, 0.8) is not None, (
+    assert sky.drone.fly_full_state(me, down, 0.8)[2] > 0.5, "it brakes"
+    assert sky.drone.fly_full_state(me, down, 0.8, lands=True) is None
+    assert sky.drone.fly_full_state(me, down, 0.8) is not None, (
         "the next one does not land"
     )
 
@@ -275,7 +273,7 @@ def test_an_old_state_keeps_it_farther_away():
     sky, me = Sky(), State.at((0.0, 0.0, 1.0), (0.3, 0.0, 0.0))
     sky.hears(1, (0.8, 0.0, 1.0))
     fresh, old = (
-        sky.filter.acceleration(me, np.array([3.0, 0.0, 0.0]), GAINS, now)
+        sky.drone.fly_acceleration(me, np.array([3.0, 0.0, 0.0]), now)
         for now in (0.0, 0.3)
     )
     assert old[0] < fresh[0] - 0.3
@@ -331,7 +329,7 @@ def test_out_of_a_pocket_between_two_that_stay_it_goes_the_other_way_round():
         )
         v = v + 0.01 * a
         p = p + 0.01 * v
-        tried.append(float(sky.filter.row["side"][0]))
+        tried.append(float(sky.drone.row["side"]))
     assert p == pytest.approx(goal, abs=0.02)
     assert min(tried) == -1.0, "a pocket it was"
 
@@ -354,15 +352,15 @@ def test_the_fence_is_not_left_for_another():
     assert a[0] < 0.0
 
 
-def find_obstacle(filter_, now):
+def find_obstacle(drone, now):
     """Return the id of the drone with the half space that forbids the wanted acceleration; -1: none.
 
     Also return whether a drone that may be near is not heard.
 
     It looks at the half spaces of all others, and not first whether the way is surely clear.
     """
-    row, airspace = filter_.row[0], filter_.traffic.airspace
-    listener = airspace.near.listeners[filter_.traffic.listener]
+    row, airspace = drone.row, drone.traffic.airspace
+    listener = airspace.near.listeners[drone.traffic.listener]
     p, v = predict_late_motion(
         row["state"], row["acceleration"], row["lag"], row["delay"], np.inf
     )
@@ -390,9 +388,9 @@ def test_a_way_that_is_quickly_found_clear_is_clear(method):
             sky.hears(j, place.clip(0.0), rng.uniform(-0.7, 0.7, 3), age)
         me = State.at((0.0, 0.0, 1.0), rng.uniform(-0.7, 0.7, 3))
         wanted = rng.uniform(-1.0, 1.0, 3)
-        is_free = sky.filter.acceleration(me, wanted, GAINS, 0.0) is None
-        obstacle, is_blind = find_obstacle(sky.filter, 0.0)
-        is_cut_off = sky.filter.cut_off
+        is_free = sky.drone.fly_acceleration(me, wanted, 0.0) is None
+        obstacle, is_blind = find_obstacle(sky.drone, 0.0)
+        is_cut_off = sky.drone.is_cut_off
         assert is_free == (obstacle < 0 and not is_blind and not is_cut_off)
         kind = "blind" if is_blind or is_cut_off else "clear" if is_free else "blocked"
         found[kind] += 1
