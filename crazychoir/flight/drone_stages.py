@@ -56,7 +56,7 @@ class Flier(Protocol):
 
 
 class DroneStages:
-    """Estimates, publishes, avoids, controls and commands for one drone.
+    """Believes poses, judges, publishes, notes evasions and commands for one drone.
 
     flier: the parts of the drone
     state_filter: of the drone

@@ -44,11 +44,12 @@ class FlightNotes:
     def say_evades(self, other: int | None, is_first: bool) -> None:
         """Say which drone this one evades.
 
-        other: id of that drone; None if this drone brakes because others are not heard
+        other: id of that drone; None if this drone brakes, because it does not hear a drone that may
+            be near, or most of the others
         is_first: whether it is the first evasion of the drone, which is logged
         """
         if other is None:
-            self.say("collision", "braking: drones nearby are not heard")
+            self.say("collision", "braking: other drones are not heard")
         else:
             self.text = f"keeps clear of drone {other}"
             self.is_grave = False

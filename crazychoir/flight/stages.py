@@ -450,7 +450,10 @@ def _ask_filter(drone: Record, avoid: Record) -> None:
 
 @kernel()
 def _obey_filter(drone: Record, avoid: Record, plan: Record, now: float) -> bool:
-    """Fly what the collision filter has answered; return whether the drone's note changes."""
+    """Fly what the collision filter has answered; return whether to note it.
+
+    Braking is noted in each tick, everything else when it changes.
+    """
     if avoid.is_cut_off > 0:
         drone.cut_off_since = min(drone.cut_off_since, now)
     else:
@@ -461,8 +464,8 @@ def _obey_filter(drone: Record, avoid: Record, plan: Record, now: float) -> bool
         drone.evades = 0
         return bool(was_evading)
     _evade(drone, avoid.safe, avoid.gives_way_to, plan.kind != PlanKind.NONE, now)
-    is_blind = drone.evades_drone < 0
-    return bool(not was_evading or is_blind or drone.evades_drone != before)
+    is_braking = drone.evades_drone < 0
+    return bool(not was_evading or is_braking or drone.evades_drone != before)
 
 
 @kernel(
@@ -496,7 +499,7 @@ def avoid_drones(
     now: s
     planes: work space, see make_planes
     near: work space, see make_nearest
-    found: (n,): receives the rows of the drones with a note of an evasion that changes
+    found: (n,): receives the rows of the drones with an evasion to note
     Returns how many these are.
     """
     count = 0

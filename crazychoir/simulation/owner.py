@@ -1,6 +1,7 @@
-"""The owner of a simulated world: it steps the world and publishes the poses of the drones.
+"""The owner of a simulated world: it steps the world and hands over the poses of the drones.
 
-The poses come from simulated cameras.
+The poses come from simulated cameras. Parts of the same process that are in `takers` get them by a
+call. All other readers get them as messages.
 """
 
 from collections import deque

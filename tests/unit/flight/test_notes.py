@@ -76,7 +76,7 @@ def test_a_drone_that_hears_too_few_says_that_it_brakes(caplog):
         make_notes(clock).say_evades(None, is_first=True)
 
     check()
-    assert caplog.messages == ["drone 3: braking: drones nearby are not heard"]
+    assert caplog.messages == ["drone 3: braking: other drones are not heard"]
 
 
 @virtual
