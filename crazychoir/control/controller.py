@@ -22,7 +22,7 @@ from crazychoir.control.position import (
 from crazychoir.control.rows import (
     CONTROLLER_ROW,
     INPUT_SIZE,
-    ControllerKind,
+    CompiledControllerKind,
     DesiredSource,
     find_desired_source_of,
     fly_controller_of,
@@ -79,11 +79,11 @@ class CrazyflieController(ABC):
         """Choose how this controller is called, when a part of it is new."""
         kind = self._find_kind()
         self.rows["kind"] = kind
-        self._is_compiled = kind is not ControllerKind.BY_HAND
+        self._is_compiled = kind is not CompiledControllerKind.BY_HAND
 
-    def _find_kind(self) -> ControllerKind:
+    def _find_kind(self) -> CompiledControllerKind:
         """Return how this controller is called; compiled code must know all its parts."""
-        return ControllerKind.BY_HAND
+        return CompiledControllerKind.BY_HAND
 
     @property
     def refused(self) -> int:
@@ -261,7 +261,7 @@ class HierarchicalController(CrazyflieController):
     def position_rate(self, rate: float) -> None:
         self.rows["position_rate"] = rate
 
-    def _find_kind(self) -> ControllerKind:
+    def _find_kind(self) -> CompiledControllerKind:
         position = self._pos_strategy
         attitude = self._attitude_strategy
         if (
@@ -273,8 +273,8 @@ class HierarchicalController(CrazyflieController):
             and np.shares_memory(attitude.rows, self.rows)
         ):
             self._trims = position.trim.rows
-            return ControllerKind.FLATNESS
-        return ControllerKind.BY_HAND
+            return CompiledControllerKind.FLATNESS
+        return CompiledControllerKind.BY_HAND
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Return the attitude strategy's input for the attitude of the position strategy."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from crazychoir.control.controller import CrazyflieController
 from crazychoir.control.handlers import FullStateTraj, TrajectoryHandler
-from crazychoir.control.rows import EARLY_TOLERANCE, ControllerKind
+from crazychoir.control.rows import EARLY_TOLERANCE, CompiledControllerKind
 from crazychoir.control.senders import CommunicationHandler
 from crazychoir.control.velocity import FIRMWARE_GAINS, VelocityCtrlStrategy
 from crazychoir.numerics.kernels import Records
@@ -53,14 +53,14 @@ class VelocityController(CrazyflieController):
         self._strategy = strategy
         self._choose_kind()
 
-    def _find_kind(self) -> ControllerKind:
+    def _find_kind(self) -> CompiledControllerKind:
         if (
             type(self._strategy) is VelocityCtrlStrategy
             and type(self.traj_handler) is FullStateTraj
             and np.shares_memory(self._strategy.rows, self.rows)
         ):
-            return ControllerKind.VELOCITY
-        return ControllerKind.BY_HAND
+            return CompiledControllerKind.VELOCITY
+        return CompiledControllerKind.BY_HAND
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Return the velocity of the strategy."""

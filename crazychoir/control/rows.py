@@ -42,8 +42,8 @@ LONGEST_TURN = 1.0
 """Seconds between two calls beyond which the desired attitude is computed anew."""
 
 
-class ControllerKind(IntEnum):
-    """How a controller is called."""
+class CompiledControllerKind(IntEnum):
+    """How a controller is called: in Python, or by which compiled laws."""
 
     BY_HAND = 0
     """In Python: some part of it does not ship, or does not share its record."""
@@ -66,7 +66,7 @@ class DesiredSource(IntEnum):
 
 CONTROLLER_ROW = np.dtype(
     [
-        ("kind", np.int64),  # ControllerKind
+        ("kind", np.int64),  # CompiledControllerKind
         ("position", POSITION_ROW),
         ("attitude", ATTITUDE_ROW),
         ("velocity", VELOCITY_ROW),
@@ -168,7 +168,7 @@ def _apply_laws(
     Returns False, without an input, if state or reference is not finite.
     """
     reference = controller.reference[:]
-    if controller.kind == ControllerKind.VELOCITY:
+    if controller.kind == CompiledControllerKind.VELOCITY:
         return compute_velocity(controller.velocity, x, reference, u)
     source = DesiredSource.DUE.value
     if controller.position_rate > 0.0:
@@ -293,7 +293,7 @@ def start_controller_row(rows: Records) -> None:
 
     rows: (1,) of CONTROLLER_ROW
     """
-    rows["kind"] = ControllerKind.BY_HAND
+    rows["kind"] = CompiledControllerKind.BY_HAND
     rows["position_rate"] = 0.0
     rows["called_at"] = -math.inf
     rows["due_at"] = -math.inf

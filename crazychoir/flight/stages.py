@@ -3,8 +3,12 @@
 import math
 
 from crazychoir.control.position import FLATNESS_LAYOUT
-from crazychoir.control.rows import CONTROL_ROW, INPUT_SIZE, fly_controller
-from crazychoir.control.rows import ControllerKind as CompiledKind
+from crazychoir.control.rows import (
+    CONTROL_ROW,
+    INPUT_SIZE,
+    CompiledControllerKind,
+    fly_controller,
+)
 from crazychoir.filters.row_filter import estimate_row
 from crazychoir.filters.rows import FILTER_ROW, FilterRows, histories
 from crazychoir.flight.batch import (
@@ -523,7 +527,7 @@ def _control_drone(drone: Record, control: Record, now: float) -> bool:
     """
     is_tracker = drone.controller == FlightControllerKind.TRACKER
     controller = control.tracker if is_tracker else control.follower
-    if controller.kind == CompiledKind.BY_HAND:
+    if controller.kind == CompiledControllerKind.BY_HAND:
         return False
     if is_tracker:
         control.trim.is_frozen = 1 - drone.learns_trim
@@ -538,7 +542,7 @@ def _control_drone(drone: Record, control: Record, now: float) -> bool:
         drone.command[:INPUT_SIZE],
     )
     first = FLATNESS_LAYOUT.acceleration_start
-    is_flatness = controller.kind == CompiledKind.FLATNESS
+    is_flatness = controller.kind == CompiledControllerKind.FLATNESS
     for c in range(3):
         drone.commanded[c] = (
             controller.position.out[first + c]

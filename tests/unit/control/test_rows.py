@@ -13,7 +13,7 @@ from crazychoir.control.handlers import AccelerationTraj, FullStateTraj, Positio
 from crazychoir.control.position import FlatnessAccelerationCtrl, FlatnessPositionCtrl
 from crazychoir.control.rows import (
     INPUT_SIZE,
-    ControllerKind,
+    CompiledControllerKind,
     make_control_rows,
 )
 from crazychoir.control.senders import FPQRSender, VelSender
@@ -221,8 +221,8 @@ def test_a_controller_without_a_reference_holds_alike_in_python(part, rate):
         assert as_bits(u, compiled.acceleration) == as_bits(
             expected, python.acceleration
         )
-    assert compiled.rows["kind"][0] == ControllerKind.FLATNESS
-    assert python.rows["kind"][0] == ControllerKind.BY_HAND
+    assert compiled.rows["kind"][0] == CompiledControllerKind.FLATNESS
+    assert python.rows["kind"][0] == CompiledControllerKind.BY_HAND
 
 
 def test_velocities_in_compiled_code_are_those_of_python():
@@ -243,8 +243,8 @@ def test_velocities_in_compiled_code_are_those_of_python():
         bits = as_bits(expected, python.acceleration)
         assert as_bits(u, compiled.acceleration) == bits
         assert as_bits(*alone.result(0)) == bits
-    assert python.rows["kind"][0] == ControllerKind.BY_HAND
-    assert compiled.rows["kind"][0] == ControllerKind.VELOCITY
+    assert python.rows["kind"][0] == CompiledControllerKind.BY_HAND
+    assert compiled.rows["kind"][0] == CompiledControllerKind.VELOCITY
     assert python.refused == compiled.refused > 5
 
 
@@ -316,7 +316,7 @@ def test_controllers_that_do_not_ship_compiled_are_called_by_hand(sender):
     alone.want(0, HERE, HOVER)
 
     assert alone.fly(0.0) == [0]
-    assert alone.controls["tracker"]["kind"][0] == ControllerKind.BY_HAND
+    assert alone.controls["tracker"]["kind"][0] == CompiledControllerKind.BY_HAND
     assert alone.drones["is_computed"][0] == 0
     assert not alone.drones["command"].any()
 
@@ -360,10 +360,10 @@ def test_a_controller_with_an_exchanged_part_is_called_by_hand(part, strategy):
     own = getattr(controls.tracker, part)
 
     setattr(controls.tracker, part, strategy)
-    assert controls.rows["tracker"]["kind"][0] == ControllerKind.BY_HAND
+    assert controls.rows["tracker"]["kind"][0] == CompiledControllerKind.BY_HAND
 
     setattr(controls.tracker, part, own)
-    assert controls.rows["tracker"]["kind"][0] == ControllerKind.FLATNESS
+    assert controls.rows["tracker"]["kind"][0] == CompiledControllerKind.FLATNESS
 
 
 def test_a_controller_remembers_its_last_reference_when_a_part_is_exchanged():
@@ -381,7 +381,7 @@ def test_strategies_of_another_record_are_not_flown_by_this_row():
 
     controls.tracker.pos_strategy = other.tracker.pos_strategy
 
-    assert controls.rows["tracker"]["kind"][0] == ControllerKind.BY_HAND
+    assert controls.rows["tracker"]["kind"][0] == CompiledControllerKind.BY_HAND
 
 
 def test_new_gains_act_in_the_row():
