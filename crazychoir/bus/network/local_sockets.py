@@ -163,25 +163,21 @@ class LocalSockets:
     """The connections of one process; without any if it could not make its socket.
 
     identity: name and number of this process
-    receive: gets each frame
     is_known: says which processes may connect
     now_ns: returns the time in ns, by the clock of the machine
     """
 
     def __init__(
-        self,
-        identity: LocalIdentity,
-        receive: ReceiveFrame,
-        is_known: IsKnown,
-        now_ns: Callable[[], int],
+        self, identity: LocalIdentity, is_known: IsKnown, now_ns: Callable[[], int]
     ) -> None:
         self.identity = identity
         self.address = NO_LOCAL_ADDRESS
         self.counters = SocketCounters()
-        self._receive = receive
         self._is_known = is_known
         self._now_ns = now_ns
         self._loop = asyncio.get_running_loop()
+        self._receive: ReceiveFrame
+        """Gets the frames, from `open` on: nothing arrives before."""
         self._listening: socket.socket | None = None
         self._strangers: dict[LocalConnection, None] = {}
         self._connections: dict[str, LocalConnection] = {}
@@ -190,8 +186,12 @@ class LocalSockets:
 
     # Opening and closing --------------------------------------------------------------
 
-    def open(self) -> None:
-        """Listen at a path of this process; without a socket, say why."""
+    def open(self, receive: ReceiveFrame) -> None:
+        """Listen at a path of this process; without a socket, say why.
+
+        receive: gets each frame
+        """
+        self._receive = receive
         machine = find_machine()
         try:
             if not machine:

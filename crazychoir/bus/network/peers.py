@@ -19,6 +19,7 @@ from crazychoir.bus.network.hello_review import (
     Introduction,
     describe_address,
 )
+from crazychoir.bus.network.local_sockets import LocalIdentity
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import MessageClass
 from crazychoir.errors import CodecError, Refused
@@ -138,6 +139,17 @@ class Peers:
         """Return True if the process name is valid, and its host may use it."""
         return is_name(process) and (
             self.access is None or self.access.may_be(host, process)
+        )
+
+    def may_connect(self, identity: LocalIdentity) -> bool:
+        """Return True if a process that connects to our socket is a peer of this host."""
+        peer = self.by_name.get(identity.process)
+        return (
+            peer is not None
+            and peer.host == self.bus.host
+            and not peer.refusal
+            and peer.hello is not None
+            and peer.hello.incarnation == identity.incarnation
         )
 
     def _room(self, host: str) -> bool:

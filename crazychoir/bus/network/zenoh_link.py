@@ -244,9 +244,9 @@ class ZenohLink(Actor):
         self.counters = LinkCounters()
         own = Introduction(swarm, incarnation, version, dict(agreed or {}))
         identity = LocalIdentity(swarm, bus.process, incarnation)
-        take = partial(self._take, self._local_frame)
-        self.local = LocalSockets(identity, take, self._may_connect, bus.clock.now_ns)
         self.table = Peers(bus, own, access, on_token, on_refused)
+        self.local = LocalSockets(identity, self.table.may_connect, bus.clock.now_ns)
+        self._receive_local = partial(self._take, self._local_frame)
         self.peers = self.table.by_name
         self.directory = self.table.directory
         secured = access.settings() if access is not None else {}
@@ -292,7 +292,7 @@ class ZenohLink(Actor):
                 self.listen, self.connect, str(error)
             ) from error
         self._session = session
-        self.local.open()
+        self.local.open(self._receive_local)
         self.table.own = replace(self.table.own, local=self.local.address)
         received = zenoh.handlers.Callback(self._received, indirect=True)
         tokens = zenoh.handlers.Callback(self._token, indirect=True)
@@ -778,17 +778,6 @@ class ZenohLink(Actor):
             return
         counters.frames_received += 1
         self._distribute(peer, frame.envelopes, arrived_ns)
-
-    def _may_connect(self, identity: LocalIdentity) -> bool:
-        """Return True if a process that connects to our socket is a peer of this host."""
-        peer = self.peers.get(identity.process)
-        return (
-            peer is not None
-            and peer.host == self.bus.host
-            and not peer.refusal
-            and peer.hello is not None
-            and peer.hello.incarnation == identity.incarnation
-        )
 
     def _local_frame(self, process: str, data: bytes, sent_ns: int) -> None:
         """Take a frame that came through a socket.

@@ -38,11 +38,10 @@ class End:
         self.known = True
         self.sockets = LocalSockets(
             LocalIdentity(swarm, name, incarnation),
-            self._receive,
             lambda identity: self.known,
             time.monotonic_ns,
         )
-        self.sockets.open()
+        self.sockets.open(self._receive)
 
     def _receive(self, process: str, frame: bytes, sent_ns: int) -> None:
         self.frames.append((process, frame))

@@ -15,6 +15,7 @@ from crazychoir.bus.network import endpoints
 from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.hello import HELLO_RULES, Hello
 from crazychoir.bus.network.hello_review import Introduction
+from crazychoir.bus.network.local_sockets import LocalIdentity
 from crazychoir.bus.network.peers import PEER_LIMITS, Peer, Peers
 from crazychoir.bus.network.public_topics import fields_as_json
 from crazychoir.bus.port import PORT_ADDRESSES, Bus, Interest
@@ -494,3 +495,24 @@ def test_a_drone_that_was_started_again_is_not_gone_with_its_former_process(here
     here.peers.went("there", "old", "token")
     assert here.tokens == [([2], False)]
     assert here.peers.directory[1].process == "new"
+
+
+@pytest.mark.parametrize(
+    ("host", "incarnation", "refusal", "may_connect"),
+    [
+        ("here", 2, "", True),
+        ("there", 2, "", False),
+        ("here", 3, "", False),
+        ("here", 2, "another swarm file", False),
+    ],
+)
+def test_only_known_processes_of_the_host_may_connect(
+    here, host, incarnation, refusal, may_connect
+):
+    peer = here.peers.came("here", "b", "token")
+    here.peers.greeted(peer, hello(host="here").payload(), 0.0)
+    peer.host = host
+    peer.refusal = refusal
+    identity = LocalIdentity("s", "b", incarnation)
+    assert here.peers.may_connect(identity) is may_connect
+    assert not here.peers.may_connect(LocalIdentity("s", "c", incarnation))

@@ -11,7 +11,7 @@ from crazychoir.bus.frames import FRAME_FORMAT, Envelope, Frame, encode_frame
 from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.flood_limit import FLOOD_LIMITS
 from crazychoir.bus.network.hello import Hello
-from crazychoir.bus.network.local_sockets import LocalAddress, LocalIdentity
+from crazychoir.bus.network.local_sockets import LocalAddress
 from crazychoir.bus.network.zenoh_link import (
     FRAME_READING,
     ZenohLink,
@@ -295,28 +295,8 @@ async def test_an_error_of_a_handler_of_a_local_frame_is_counted():
         raise ValueError("no")
 
     link.bus.ports[0].handlers[DRONE_TOPICS.log.number] = fails
-    link.local._receive("1-1", log_line(), 0)
+    link._receive_local("1-1", log_line(), 0)
     assert link.counters.failed == 1
-
-
-@pytest.mark.parametrize(
-    ("host", "incarnation", "refusal", "may_connect"),
-    [
-        ("a", 2, "", True),
-        ("b", 2, "", False),
-        ("a", 3, "", False),
-        ("a", 2, "another swarm file", False),
-    ],
-)
-async def test_only_known_processes_of_the_host_may_connect(
-    host, incarnation, refusal, may_connect
-):
-    link = await link_of_a()
-    peer = link.peers["1-1"]
-    peer.host = host
-    peer.refusal = refusal
-    assert link._may_connect(LocalIdentity("s", "1-1", incarnation)) is may_connect
-    assert not link._may_connect(LocalIdentity("s", "2-1", incarnation))
 
 
 @pytest.mark.parametrize(
