@@ -543,7 +543,7 @@ async def test_other_programs_read_public_copies_which_are_made_for_them_only(
         link.bus.ports[i].latched.offer(
             DRONE_TOPICS.state, lambda i=i: State.at([float(i), 0.0, 1.0])
         )
-    copies = asyncio.create_task(PublicCopies(link, [0, 1]).run())
+    copies = asyncio.create_task(PublicCopies(link.bus, link, [0, 1]).run())
     await asyncio.sleep(0.3)
     assert not link.has_audience("state")
     found: dict[str, Any] = {}

@@ -18,9 +18,6 @@ from crazychoir.runtime.actor import Actor
 class Announcer(Protocol):
     """The part of a network link that `PublicCopies` needs."""
 
-    bus: Bus
-    """Bus of the process."""
-
     def has_audience(self, topic: str) -> bool:
         """Return whether another program reads this topic of some drone."""
 
@@ -31,14 +28,16 @@ class Announcer(Protocol):
 class PublicCopies(Actor):
     """Publishes JSON copies of the public topics of the drones of a process, while others read them.
 
-    link: to the other programs
+    bus: bus of the process
+    announcer: publishes the copies
     ids: of the drones
     """
 
     name = "public"
 
-    def __init__(self, link: Announcer, ids: Sequence[int]) -> None:
-        self.link = link
+    def __init__(self, bus: Bus, announcer: Announcer, ids: Sequence[int]) -> None:
+        self.bus = bus
+        self.announcer = announcer
         self.ids = list(ids)
         self._topics = [topic for topic in ALL_TOPICS if topic.public > 0]
         self._newest: dict[tuple[str, int], Any] = {}
@@ -51,17 +50,17 @@ class PublicCopies(Actor):
         """
         fastest = max(topic.public for topic in self._topics)
         tick = 0
-        async for _ in self.link.bus.clock.ticks(fastest):
+        async for _ in self.bus.clock.ticks(fastest):
             for topic in self._topics:
                 is_due = tick % round(fastest / topic.public) == 0
-                if is_due and self.link.has_audience(topic.name):
+                if is_due and self.announcer.has_audience(topic.name):
                     for drone in self.ids:
                         self._publish(topic, drone)
             tick += 1
 
     def _publish(self, topic: Topic, drone: int) -> None:
         """Publish the present value of a topic of a drone, if there is a new one."""
-        bus = self.link.bus
+        bus = self.bus
         port = bus.ports.get(drone)
         found = None if port is None else port.latched.find(topic, bus.clock.now_ns())
         if found is None or found[1] > topic.max_age:
@@ -69,7 +68,7 @@ class PublicCopies(Actor):
         if found[0] is self._newest.get((topic.name, drone)):
             return
         self._newest[topic.name, drone] = found[0]
-        self.link.announce(drone, topic.name, fields_as_json(found[0]))
+        self.announcer.announce(drone, topic.name, fields_as_json(found[0]))
 
 
 def fields_by_name(value: msgspec.Struct) -> dict[str, Any]:

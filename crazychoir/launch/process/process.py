@@ -70,7 +70,7 @@ def run_agent(
         others_hang_too = bool(agent.owned) or len(ids) > 1
         agent.watchdog = watchdog = Watchdog(clock, agent.stalled, soon=others_hang_too)
         watchdog.start()
-        agent.services += [link, PublicCopies(link, ids)]
+        agent.services += [link, PublicCopies(agent.bus, link, ids)]
         agent.services += make_services(agent)
         try:
             results = await agent.run()

@@ -12,10 +12,9 @@ from crazychoir.types import State
 
 
 class Announcer:
-    """A link to other programs, which read states."""
+    """A session with other programs, which read states."""
 
-    def __init__(self, bus):
-        self.bus = bus
+    def __init__(self):
         self.places = []
 
     def has_audience(self, name):
@@ -29,14 +28,14 @@ class Announcer:
 async def test_new_values_are_announced_once_and_stale_ones_are_not(clock):
     bus = Bus(clock)
     port = bus.port(0)
-    link = Announcer(bus)
+    announcer = Announcer()
     found = {"state": State.at((1.0, 0.0, 0.0)), "age": 0.0}
     port.latched.offer(DRONE_TOPICS.state, lambda: found["state"], lambda: found["age"])
-    copies = asyncio.create_task(PublicCopies(link, [0]).run())
+    copies = asyncio.create_task(PublicCopies(bus, announcer, [0]).run())
     await clock.sleep(1.0)
     found.update(state=State.at((2.0, 0.0, 0.0)), age=DRONE_TOPICS.state.max_age + 0.1)
     await clock.sleep(1.0)
     found.update(state=State.at((3.0, 0.0, 0.0)), age=0.1)
     await clock.sleep(1.0)
     copies.cancel()
-    assert link.places == [1.0, 3.0]
+    assert announcer.places == [1.0, 3.0]
