@@ -1,9 +1,7 @@
 """The link to other processes: one Zenoh session, one wildcard
 subscriber, one put for each (peer process, class, loop pass).
 
-    frames  choir/<swarm>/f/<destination process>/<source host>/<source process>/<class>
-    tokens  choir/<swarm>/live/<host>/<process>[/<number>]    numbered ones: see lost_tokens.py
-
+The keys are in link_keys.py.
 Zenoh's threads hand bytes to the event loop through one deque, with one wake-up for each burst.
 Every put is DROP and never waits.
 A peer is a process with a liveliness token. Messages go to it after its HELLO has arrived. Both
@@ -40,6 +38,8 @@ from crazychoir.bus.network.flood_limit import FrameBudget, FrameBudgets
 from crazychoir.bus.network.foreign_connections import ForeignConnections
 from crazychoir.bus.network.hello import Hello
 from crazychoir.bus.network.hello_review import Introduction
+from crazychoir.bus.network.link_counters import LinkCounters
+from crazychoir.bus.network.link_keys import LinkKeys, read_sender, read_token
 from crazychoir.bus.network.local_sockets import LocalIdentity, LocalSockets
 from crazychoir.bus.network.lost_tokens import TokenRepair
 from crazychoir.bus.network.peers import OnRefused, OnToken, Peer, Peers
@@ -76,8 +76,6 @@ class FrameReading:
     """
     longest_slice_ns: int = NS_PER_SECOND // 50
     """ns: most time for reading frames in one pass."""
-    key_parts: int = 7
-    """Parts of the key of a frame."""
 
 
 FRAME_READING = FrameReading()
@@ -154,46 +152,6 @@ class PeerQueue:
     """Name of the peer."""
 
 
-@dataclass
-class LinkCounters:
-    """Counts of frames on the network, sent, received and dropped."""
-
-    frames_sent: int = 0
-    """Frames sent."""
-    frames_received: int = 0
-    """Frames received from peers."""
-    bytes_sent: int = 0
-    """Bytes of the sent frames."""
-    malformed: int = 0
-    """Frames and messages that could not be decoded."""
-    other_version: int = 0
-    """Frames of another version of the format."""
-    strangers: int = 0
-    """Frames and messages of processes without a token (or with a HELLO
-    that overtook it), or in the name of another process.
-    """
-    forbidden: int = 0
-    """Commands of hosts that are not operators."""
-    unsendable: int = 0
-    """Messages that fit into no frame."""
-    dropped: int = 0
-    """Messages for a peer that went away."""
-    overflowed: int = 0
-    """Frames dropped because the event loop hung."""
-    flooded: int = 0
-    """Frames and tokens dropped because their host sends too many."""
-    failed: int = 0
-    """Frames with a handler that raised an error."""
-    put_errors: int = 0
-    """Frames that Zenoh refused to send."""
-    full: int = 0
-    """Frames dropped because a process of this host does not read fast enough."""
-    tokens: int = 0
-    """Additional tokens, declared because another process lost ours."""
-    worst_put_s: float = 0.0
-    """s: longest put."""
-
-
 class ZenohLink(Actor):
     """This process on the network; the `Forwarder` of its bus.
 
@@ -230,17 +188,10 @@ class ZenohLink(Actor):
         on_token: OnToken = lambda drones, there: None,
         on_refused: OnRefused = lambda refused: None,
     ) -> None:
-        for where, name in (
-            ("swarm", swarm),
-            ("host", bus.host),
-            ("process", bus.process),
-        ):
-            endpoints.check_name(where, name)
         self.bus = bus
-        self.swarm = swarm
+        self._keys = LinkKeys(swarm, bus.host, bus.process)
         self.access = access
         self.listen, self.connect = ([], routers) if routers else (listen, connect)
-        self._live = f"choir/{swarm}/live"
         self.counters = LinkCounters()
         own = Introduction(swarm, incarnation, version, dict(agreed or {}))
         identity = LocalIdentity(swarm, bus.process, incarnation)
@@ -297,20 +248,14 @@ class ZenohLink(Actor):
         received = zenoh.handlers.Callback(self._received, indirect=True)
         tokens = zenoh.handlers.Callback(self._token, indirect=True)
         self._declared = [
-            session.declare_subscriber(
-                f"choir/{self.swarm}/f/{self.bus.process}/**", received
-            ),
+            session.declare_subscriber(self._keys.arriving_frames, received),
             session.liveliness().declare_subscriber(
-                f"{self._live}/*/*/**", tokens, history=True
+                self._keys.all_tokens, tokens, history=True
             ),
-            session.liveliness().declare_token(
-                f"{self._live}/{self.bus.host}/{self.bus.process}"
-            ),
+            session.liveliness().declare_token(self._keys.own_token),
         ]
         self._audiences = {
-            topic.name: session.declare_publisher(
-                f"choir/{self.swarm}/drone/*/{topic.name}"
-            )
+            topic.name: session.declare_publisher(self._keys.public("*", topic.name))
             for topic in ALL_TOPICS
             if topic.public > 0
         }
@@ -503,7 +448,7 @@ class ZenohLink(Actor):
         drop = zenoh.CongestionControl.DROP
         priority = _CLASS_PRIORITIES[MESSAGE_TOPICS.hello.klass]
         for process in processes:
-            key = self._key(process, MESSAGE_TOPICS.hello.klass)
+            key = self._keys.frame_to(process, MESSAGE_TOPICS.hello.klass)
             self._put(
                 partial(session.put, key, congestion_control=drop, priority=priority),
                 frame,
@@ -518,7 +463,7 @@ class ZenohLink(Actor):
         if session is None:
             return
         self.counters.tokens += 1
-        key = f"{self._live}/{self.bus.host}/{self.bus.process}/{self.counters.tokens}"
+        key = f"{self._keys.own_token}/{self.counters.tokens}"
         log.info("%s hears us and has no token of ours: one more", process)
         try:
             self._tokens.append(session.liveliness().declare_token(key))
@@ -549,7 +494,7 @@ class ZenohLink(Actor):
     ) -> PeerQueue:
         """Open the lane of a class to a peer."""
         publisher = session.declare_publisher(
-            self._key(peer.process, klass),
+            self._keys.frame_to(peer.process, klass),
             congestion_control=zenoh.CongestionControl.DROP,
             priority=_CLASS_PRIORITIES[klass],
             reliability=zenoh.Reliability.RELIABLE,
@@ -560,9 +505,6 @@ class ZenohLink(Actor):
         buffer = FrameBuffer(name, number, klass, conflate)
         lane = peer.lanes[klass] = PeerQueue(buffer, publisher, peer.process)
         return lane
-
-    def _key(self, process: str, klass: MessageClass) -> str:
-        return f"choir/{self.swarm}/f/{process}/{self.bus.host}/{self.bus.process}/{klass.name.lower()}"
 
     def _schedule_flush(self) -> None:
         if not self._flushing:
@@ -635,7 +577,7 @@ class ZenohLink(Actor):
     def announce(self, drone: int, topic: str, text: bytes) -> None:
         """Put a JSON text under the drone's public key, for other Zenoh programs."""
         if self._session is not None:
-            key = f"choir/{self.swarm}/drone/{drone}/{topic}"
+            key = self._keys.public(drone, topic)
             self._session.put(key, text, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def alarm(self, drone: int, text: str) -> None:
@@ -646,7 +588,7 @@ class ZenohLink(Actor):
         session = self._session
         if session is None:
             return
-        session.put(f"choir/{self.swarm}/drone/{drone}/alarm", text)
+        session.put(self._keys.public(drone, "alarm"), text)
         for peer in list(self.peers.values()):
             readers = _readers_at_peer(peer, DRONE_TOPICS.log, drone)
             if readers:
@@ -661,14 +603,16 @@ class ZenohLink(Actor):
                         [line],
                     )
                 )
-                session.put(self._key(peer.process, DRONE_TOPICS.log.klass), frame)
+                session.put(
+                    self._keys.frame_to(peer.process, DRONE_TOPICS.log.klass), frame
+                )
 
     # Receiving ------------------------------------------------------------------------
 
     def _received(self, sample: zenoh.Sample) -> None:
         """Take a frame in Zenoh's thread: add it to the queue, without blocking."""
         key = str(sample.key_expr)
-        host, _ = _sender_of_key(key)
+        host, _ = read_sender(key)
         budget = self._budgets.of(host, now := self._now_ns())
         if budget.take(now, len(sample.payload)):
             self._enqueue(self._frame, key, sample.payload.to_bytes())
@@ -679,7 +623,7 @@ class ZenohLink(Actor):
         """Take a change of a token in Zenoh's other thread."""
         there = sample.kind == zenoh.SampleKind.PUT
         key = str(sample.key_expr)
-        host = key.split("/")[3]
+        host, _ = read_token(key)
         budget = self._token_budgets.of(host, now := self._now_ns())
         if budget.take(now):
             self._enqueue(self._token_came if there else self._token_went, key, b"")
@@ -742,14 +686,14 @@ class ZenohLink(Actor):
                 )
 
     def _token_came(self, key: str, data: bytes, arrived_ns: int) -> None:
-        host, process, *_ = key.split("/")[3:]
+        host, process = read_token(key)
         self._estranged.came(process)
         peer = self.table.came(host, process, key)
         if peer is not None:
             self._greet(peer)
 
     def _token_went(self, key: str, data: bytes, arrived_ns: int) -> None:
-        host, process, *_ = key.split("/")[3:]
+        host, process = read_token(key)
         peer = self.table.went(host, process, key)
         if peer is None:
             return
@@ -811,7 +755,7 @@ class ZenohLink(Actor):
 
         Its key, its token and its content must agree, since certificates protect only keys.
         """
-        host, process = _sender_of_key(key)
+        host, process = read_sender(key)
         peer = self.peers.get(process)
         return (
             peer
@@ -824,7 +768,7 @@ class ZenohLink(Actor):
 
         The process gets an answer, unless its name is forged, known, our own, or invalid.
         """
-        host, process = _sender_of_key(key)
+        host, process = read_sender(key)
         known = process == self.bus.process or process in self.peers
         if known or process != frame.process or not self.table.may_be(host, process):
             return
@@ -999,16 +943,6 @@ def _zenoh_config(settings: Mapping[str, Any]) -> zenoh.Config:
                 f"Zenoh setting {key}", value, str(error).split(" at /", 1)[0]
             ) from error
     return config
-
-
-def _sender_of_key(key: str) -> tuple[str, str]:
-    """Return the host and the process in the key of a frame,
-    where access control looks for the host.
-
-    Returns two empty texts if the key does not have FRAME_READING.key_parts parts.
-    """
-    parts = key.split("/")
-    return (parts[4], parts[5]) if len(parts) == FRAME_READING.key_parts else ("", "")
 
 
 def _readers_at_peer(peer: Peer, topic: Topic, drone: int) -> tuple[int, ...]:

@@ -15,7 +15,6 @@ from crazychoir.bus.network.local_sockets import LocalAddress
 from crazychoir.bus.network.zenoh_link import (
     FRAME_READING,
     ZenohLink,
-    _sender_of_key,
 )
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import DRONE_TOPICS
@@ -119,22 +118,6 @@ async def test_a_link_that_is_behind_reads_for_as_long_as_other_work_takes():
         "a link that has read all frames is not behind, even long after"
     )
     link._queue.clear()
-
-
-def test_the_sender_is_read_from_the_part_of_the_key_that_access_control_checks():
-    assert _sender_of_key("choir/s/f/0-1/b/1-2/control") == ("b", "1-2")
-
-
-@pytest.mark.parametrize(
-    "key",
-    [
-        "choir/s/f/0-1/b/a/0-2/control",
-        "choir/s/f/0-1/b/1-2",
-        "choir/s/f/0-1/b/x/a/0-2/control",
-    ],
-)
-def test_a_key_with_more_or_fewer_parts_has_no_sender(key):
-    assert _sender_of_key(key) == ("", "")
 
 
 async def test_key_token_frame_and_message_must_name_one_sender():
