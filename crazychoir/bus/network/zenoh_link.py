@@ -2,7 +2,6 @@
 subscriber, one put for each (peer process, class, loop pass).
 
 The keys are in link_keys.py.
-Zenoh's threads hand bytes to the event loop through one deque, with one wake-up for each burst.
 Every put is DROP and never waits.
 A peer is a process with a liveliness token. Messages go to it after its HELLO has arrived. Both
 sides send HELLO until each has received the other's.
@@ -34,6 +33,7 @@ from crazychoir.bus.frames import (
 )
 from crazychoir.bus.network import endpoints, handshakes
 from crazychoir.bus.network.access import NetworkAccess
+from crazychoir.bus.network.arrival_queue import ArrivalQueue
 from crazychoir.bus.network.flood_limit import FrameBudget, FrameBudgets
 from crazychoir.bus.network.foreign_connections import ForeignConnections
 from crazychoir.bus.network.hello import Hello
@@ -56,29 +56,6 @@ from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import NS_PER_SECOND
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True)
-class FrameReading:
-    """How many received frames wait, and how long the event loop reads them in one pass."""
-
-    backlog: int = 10_000
-    """Frames that may wait for the event loop; if it hangs, the oldest are dropped."""
-    slice_frames: int = 64
-    """Most frames that are read in one pass of the event loop, so that ticks need not wait for
-    more.
-    """
-    least_slice_ns: int = NS_PER_SECOND // 500
-    """ns: least time for reading frames in one pass of the event loop.
-
-    If frames were left unread, the time is as long as the loop was busy elsewhere since then, so that
-    reading gets half of the loop's time. A frame that is being read is always finished.
-    """
-    longest_slice_ns: int = NS_PER_SECOND // 50
-    """ns: most time for reading frames in one pass."""
-
-
-FRAME_READING = FrameReading()
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,9 +112,6 @@ _CLASS_PRIORITIES = {
     MessageClass.BULK: zenoh.Priority.DATA_LOW,
 }
 """Zenoh's priority of each class."""
-
-Handler = Callable[[str, bytes, int], None]
-"""Callable that gets (key, bytes, time of arrival in ns)."""
 
 
 @dataclass(slots=True, eq=False)
@@ -197,7 +171,8 @@ class ZenohLink(Actor):
         identity = LocalIdentity(swarm, bus.process, incarnation)
         self.table = Peers(bus, own, access, on_token, on_refused)
         self.local = LocalSockets(identity, self.table.may_connect, bus.clock.now_ns)
-        self._receive_local = partial(self._take, self._local_frame)
+        self._arrivals = ArrivalQueue(self.counters, bus.clock.now_ns)
+        self._receive_local = partial(self._arrivals.take, self._local_frame)
         self.peers = self.table.by_name
         self.directory = self.table.directory
         secured = access.settings() if access is not None else {}
@@ -206,13 +181,8 @@ class ZenohLink(Actor):
         self._config = _zenoh_config({**reach, **secured, **(settings or {})})
         self._loop = asyncio.get_running_loop()
         self._now_ns = bus.clock.now_ns
-        self._queue: deque[tuple[Handler, str, bytes, int]] = deque(
-            maxlen=FRAME_READING.backlog
-        )
         self._budgets = FrameBudgets()
         self._token_budgets = FrameBudgets()
-        self._armed = False
-        self._behind_ns = 0
         self._flushing = False
         self._full: list[PeerQueue] = []
         self._after: deque[Callable[[], None]] = deque()
@@ -329,14 +299,7 @@ class ZenohLink(Actor):
         except zenoh.ZError as error:
             log.warning("while the Zenoh session closed: %s", error)
         finally:
-            self._on_loop(closed.set)
-
-    def _on_loop(self, call: Callable[[], None]) -> bool:
-        try:
-            self._loop.call_soon_threadsafe(call)
-        except RuntimeError:  # the event loop is closed: no work is left
-            return False
-        return True
+            self._arrivals.call_on_loop(closed.set)
 
     # Sending --------------------------------------------------------------------------
 
@@ -615,7 +578,7 @@ class ZenohLink(Actor):
         host, _ = read_sender(key)
         budget = self._budgets.of(host, now := self._now_ns())
         if budget.take(now, len(sample.payload)):
-            self._enqueue(self._frame, key, sample.payload.to_bytes())
+            self._arrivals.add(self._frame, key, sample.payload.to_bytes())
         else:
             self._flooded(budget, host)
 
@@ -626,7 +589,8 @@ class ZenohLink(Actor):
         host, _ = read_token(key)
         budget = self._token_budgets.of(host, now := self._now_ns())
         if budget.take(now):
-            self._enqueue(self._token_came if there else self._token_went, key, b"")
+            handler = self._token_came if there else self._token_went
+            self._arrivals.add(handler, key, b"")
         else:
             self._flooded(budget, host)
 
@@ -635,55 +599,13 @@ class ZenohLink(Actor):
         self.counters.flooded += 1
         if not budget.said:
             budget.said = True
-            self._on_loop(
+            self._arrivals.call_on_loop(
                 partial(
                     log.warning,
                     "host %s floods us: of what it says beyond that nothing is read",
                     host,
                 )
             )
-
-    def _enqueue(self, handler: Handler, key: str, data: bytes) -> None:
-        queue = self._queue
-        if len(queue) == FRAME_READING.backlog:
-            self.counters.overflowed += 1
-        queue.append((handler, key, data, self._now_ns()))
-        if not self._armed:
-            self._armed = True
-            if not self._on_loop(self._drain):
-                queue.clear()
-
-    def _drain(self) -> None:
-        """Read queued frames and tokens in the event loop, for a limited number and time."""
-        self._armed = False  # before reading, otherwise a wake-up is lost
-        queue = self._queue
-        now = self._now_ns()
-        busy = now - self._behind_ns if self._behind_ns else 0
-        ends_ns = now + max(
-            FRAME_READING.least_slice_ns, min(busy, FRAME_READING.longest_slice_ns)
-        )
-        for _ in range(min(len(queue), FRAME_READING.slice_frames)):
-            self._take(*queue.popleft())
-            if self._now_ns() > ends_ns:
-                break
-        self._behind_ns = self._now_ns() if queue else 0
-        if queue and not self._armed:
-            self._armed = True
-            self._loop.call_soon(self._drain)
-
-    def _take(
-        self, handler: Handler, sender: str, data: bytes, arrived_ns: int
-    ) -> None:
-        """Let a handler take a frame or a token; its error does not stop the next one."""
-        try:
-            handler(sender, data, arrived_ns)
-        except Exception as error:
-            self.counters.failed += 1
-            if self.counters.failed.bit_count() == 1:
-                # Log the first, the second, the fourth, ...
-                log.error(
-                    "a frame of %s was not taken: %s", sender, error, exc_info=error
-                )
 
     def _token_came(self, key: str, data: bytes, arrived_ns: int) -> None:
         host, process = read_token(key)

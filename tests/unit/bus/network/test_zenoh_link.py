@@ -9,13 +9,11 @@ import zenoh
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.frames import FRAME_FORMAT, Envelope, Frame, encode_frame
 from crazychoir.bus.network.access import NetworkAccess
+from crazychoir.bus.network.arrival_queue import FRAME_READING
 from crazychoir.bus.network.flood_limit import FLOOD_LIMITS
 from crazychoir.bus.network.hello import Hello
 from crazychoir.bus.network.local_sockets import LocalAddress
-from crazychoir.bus.network.zenoh_link import (
-    FRAME_READING,
-    ZenohLink,
-)
+from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.runtime.clock import Clock
@@ -64,60 +62,6 @@ async def test_a_message_is_delivered_once_to_a_repeated_receiver():
         0,
     )
     assert len(heard) == 1
-
-
-async def test_frames_that_take_long_leave_the_loop_to_the_others():
-    link, read = await link_of_a(), []
-
-    def slowly(key, data, arrived_ns):
-        read.append(key)
-        link.bus.clock.ns += FRAME_READING.least_slice_ns
-
-    for k in range(5):
-        link._enqueue(slowly, str(k), b"")
-    link._drain()
-    assert read == ["0", "1"], "the slice ends by its time, before its limit of frames"
-    assert FRAME_READING.slice_frames > 5
-    link._queue.clear()
-
-
-async def test_a_link_that_is_behind_reads_for_as_long_as_other_work_takes():
-    link, read = await link_of_a(), []
-
-    def slowly(key, data, arrived_ns):
-        read.append(key)
-        link.bus.clock.ns += FRAME_READING.least_slice_ns // 2
-
-    for k in range(200):
-        link._enqueue(slowly, str(k), b"")
-    counts = []
-    for others_ns in (
-        0,
-        0,
-        5 * FRAME_READING.least_slice_ns,
-        1000 * FRAME_READING.least_slice_ns,
-    ):
-        link.bus.clock.ns += others_ns
-        before = len(read)
-        link._drain()
-        counts.append(len(read) - before)
-    assert counts == [
-        3,
-        3,
-        11,
-        2 * FRAME_READING.longest_slice_ns // FRAME_READING.least_slice_ns + 1,
-    ]
-    link._queue.clear()
-    link._drain()
-    link.bus.clock.ns += 1000 * FRAME_READING.least_slice_ns
-    for k in range(10):
-        link._enqueue(slowly, str(k), b"")
-    read.clear()
-    link._drain()
-    assert len(read) == 3, (
-        "a link that has read all frames is not behind, even long after"
-    )
-    link._queue.clear()
 
 
 async def test_key_token_frame_and_message_must_name_one_sender():
@@ -186,9 +130,9 @@ async def test_a_flood_of_frames_is_cut_off_by_their_number_and_by_their_size(
     link, payload = await link_of_a(), bytes(size)
     for _ in range(2 * int(most)):
         link._received(Sample(OF_B, payload))
-    assert len(link._queue) <= most
+    assert len(link._arrivals._waiting) <= most
     assert link.counters.flooded >= most - 1
-    link._queue.clear()
+    link._arrivals._waiting.clear()
 
 
 async def test_a_flood_of_tokens_is_cut_off_and_leaves_the_queue_to_the_others(caplog):
@@ -198,24 +142,10 @@ async def test_a_flood_of_tokens_is_cut_off_and_leaves_the_queue_to_the_others(c
     link._received(Sample("choir/s/f/0-1/c/2-1/control"))
     assert link.counters.overflowed == 0
     assert link.counters.flooded > FRAME_READING.backlog
-    assert link._queue[-1][1] == "choir/s/f/0-1/c/2-1/control"
+    assert link._arrivals._waiting[-1][1] == "choir/s/f/0-1/c/2-1/control"
     await asyncio.sleep(0)
     assert caplog.text.count("host b floods us") == 1
-    link._queue.clear()
-
-
-async def test_handlers_that_fail_again_and_again_fill_no_disk(caplog):
-    link = await link_of_a()
-
-    def fails(key, data, arrived_ns):
-        raise ValueError(key)
-
-    for _ in range(1000):
-        link._enqueue(fails, "k", b"")
-    while link._queue:
-        link._drain()
-    assert link.counters.failed == 1000
-    assert caplog.text.count("was not taken") == 10
+    link._arrivals._waiting.clear()
 
 
 # Frames through a socket ----------------------------------------------------------------------------------------------
