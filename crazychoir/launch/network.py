@@ -15,7 +15,9 @@ import numpy as np
 
 from crazychoir.bus.network.access import ACCESS_RULES
 from crazychoir.bus.network.hello import PACKAGE_VERSION
+from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.network.zenoh_session import SessionEndpoints
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.config.access import access_of
 from crazychoir.config.addresses import Addresses
@@ -80,17 +82,16 @@ def configure_observer(bus: Bus, config: SwarmConfig) -> ZenohLink:
 
     The link connects to every process of the swarm file. It listens at a free port of this machine.
     """
-    return ZenohLink(
-        bus,
-        config.name,
-        listen=[f"{Addresses(config).scheme}/127.0.0.1:0"],
-        connect=list(Addresses(config).endpoints().values()),
-        routers=Addresses(config).routers,
-        incarnation=random.SystemRandom().getrandbits(62),
-        version=PACKAGE_VERSION,
+    addresses = Addresses(config)
+    incarnation = random.SystemRandom().getrandbits(62)
+    own = Introduction(config.name, incarnation, PACKAGE_VERSION)
+    reach = SessionEndpoints(
+        listen=[f"{addresses.scheme}/127.0.0.1:0"],
+        connect=list(addresses.endpoints().values()),
+        routers=addresses.routers,
         lease=config.lease,
-        access=access_of(config, bus.host),
     )
+    return ZenohLink(bus, own, reach, access=access_of(config, bus.host))
 
 
 def choose_certificate_name(config: SwarmConfig) -> str:

@@ -21,7 +21,9 @@ from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule
 from crazychoir.bus.json_view import to_plain_values
+from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.network.zenoh_session import SessionEndpoints
 from crazychoir.bus.port import Bus
 from crazychoir.errors import CrazyChoirError, RoundTimeout
 from crazychoir.launch.joining import wait_until_joined
@@ -172,11 +174,8 @@ class SolverProcess:
             if spec["connect"] or spec["listen"]:
                 link = ZenohLink(
                     bus,
-                    spec["swarm"],
-                    listen=spec["listen"],
-                    connect=spec["connect"],
-                    incarnation=1,
-                    version="solve",
+                    Introduction(spec["swarm"], 1, "solve"),
+                    SessionEndpoints(spec["listen"], spec["connect"]),
                 )
                 link.open()
                 serving = group.create_task(link.run())

@@ -30,7 +30,9 @@ from system.pages import dashboard, looking_on, six
 
 from crazychoir.bus.commands import CommandServer
 from crazychoir.bus.network.hello import PACKAGE_VERSION
+from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.network.zenoh_session import SessionEndpoints
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
@@ -94,11 +96,8 @@ def speak(path: str, group: int) -> None:
             )
         link = ZenohLink(
             bus,
-            config.name,
-            listen=[Addresses(config).endpoint(ids[0])],
-            connect=[],
-            incarnation=group + 1,
-            version=PACKAGE_VERSION,
+            Introduction(config.name, group + 1, PACKAGE_VERSION),
+            SessionEndpoints([Addresses(config).endpoint(ids[0])], []),
         )
         async with run_attached(link):
             k = 0

@@ -20,7 +20,9 @@ from typing import Any
 import numpy as np
 
 from crazychoir.bus.network.hello import PACKAGE_VERSION
+from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.network.zenoh_session import SessionEndpoints
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.addresses import Addresses
@@ -120,11 +122,8 @@ def speak(path: str, group: int, rate: float, seconds: float) -> None:
             bus.port(i)
         link = ZenohLink(
             bus,
-            config.name,
-            listen=[Addresses(config).endpoint(ids[0])],
-            connect=[],
-            incarnation=group + 1,
-            version=PACKAGE_VERSION,
+            Introduction(config.name, group + 1, PACKAGE_VERSION),
+            SessionEndpoints([Addresses(config).endpoint(ids[0])], []),
         )
         async with run_attached(link):
             async with asyncio.timeout(START):

@@ -12,7 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.network.zenoh_session import SessionEndpoints
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import TOPIC_BY_NAME
 from crazychoir.errors import CrazyChoirError, Refused, SolverError
@@ -30,8 +32,13 @@ async def linked(
     bus = Bus(clock, process=process, host=options.pop("host", "here"))
     for i in drones:
         bus.port(i)
-    options = {"listen": [], "connect": [], "incarnation": 7, "version": "1", **options}
-    link = ZenohLink(bus, swarm, **options)
+    own = Introduction(swarm, incarnation=7, version=options.pop("version", "1"))
+    reach = SessionEndpoints(
+        listen=options.pop("listen", []),
+        connect=options.pop("connect", []),
+        lease=options.pop("lease", 1.0),
+    )
+    link = ZenohLink(bus, own, reach, **options)
     link.open()
     running = asyncio.create_task(link.run())
     try:

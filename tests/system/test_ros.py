@@ -10,7 +10,7 @@ from ports import free_ports
 from ros2_decoders import fields
 from rosbags.typesys import Stores, get_typestore
 
-from crazychoir.bus.network.zenoh_link import OutsideSession
+from crazychoir.bus.network.zenoh_session import OutsideSession
 from crazychoir.cli.recordings.ros import RosBridge
 from crazychoir.types import State
 

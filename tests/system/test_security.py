@@ -18,7 +18,7 @@ from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
 from crazychoir.bus.network import authority, flood_limit
 from crazychoir.bus.network.authority import KEY_FILES
-from crazychoir.bus.network.zenoh_link import HELLO_TIMING
+from crazychoir.bus.network.greeter import HELLO_TIMING
 from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
 from crazychoir.cli.setup import host_facts
 from crazychoir.config.access import access_of

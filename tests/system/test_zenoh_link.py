@@ -457,7 +457,7 @@ async def test_the_clock_of_another_host_is_asked_for_and_no_other(
 def lose(link: ZenohLink, process: str) -> None:
     """Lose the tokens of a process as Zenoh does: its frames go on."""
     for token in sorted(link.peers[process].tokens):
-        link._token_went(token, b"", 0)
+        link.greeter.token_went(token, b"", 0)
     assert process not in link.peers
 
 
@@ -529,7 +529,7 @@ async def test_a_message_ages_while_the_loop_hangs(ground: Ground) -> None:
         ages.append(message[-1])
     )
     other.bus.ports[1].send(MESSAGE_TOPICS.rounds, (0,), b"x")
-    other._flush()
+    other.outbox.flush()
     time.sleep(0.2)  # noqa: ASYNC251 - the loop hangs
     await until(lambda: ages)
     assert 0.15 < ages[0] < 1.0
@@ -543,9 +543,9 @@ async def test_other_programs_read_public_copies_which_are_made_for_them_only(
         link.bus.ports[i].latched.offer(
             DRONE_TOPICS.state, lambda i=i: State.at([float(i), 0.0, 1.0])
         )
-    copies = asyncio.create_task(PublicCopies(link.bus, link, [0, 1]).run())
+    copies = asyncio.create_task(PublicCopies(link.bus, link.session, [0, 1]).run())
     await asyncio.sleep(0.3)
-    assert not link.has_audience("state")
+    assert not link.session.has_audience("state")
     found: dict[str, Any] = {}
     subscriber = ground.outsider().declare_subscriber(
         f"choir/{ground.swarm}/drone/*/state",
@@ -555,10 +555,10 @@ async def test_other_programs_read_public_copies_which_are_made_for_them_only(
     )
     await until(lambda: len(found) == 2)
     assert found[f"choir/{ground.swarm}/drone/1/state"]["p"] == [1.0, 0.0, 1.0]
-    assert link.has_audience("state")
-    assert not link.has_audience("status")
+    assert link.session.has_audience("state")
+    assert not link.session.has_audience("status")
     subscriber.undeclare()
-    await until(lambda: not link.has_audience("state"))
+    await until(lambda: not link.session.has_audience("state"))
     copies.cancel()
 
 

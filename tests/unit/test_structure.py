@@ -48,7 +48,6 @@ LARGE_CLASSES = {
     "Fleet",
     "Rounds",
     "Swarm",
-    "ZenohLink",
 }
 """Classes that hold several responsibilities. This list only shrinks."""
 WIDE_FUNCTIONS = {
@@ -57,7 +56,6 @@ WIDE_FUNCTIONS = {
     "Port.send",
     "Recorder._count",
     "Recorder._rounds",
-    "ZenohLink.__init__",
     "ZenohLink.forward",
     "simulate",  # users call it by name; its options are independent of each other
 }

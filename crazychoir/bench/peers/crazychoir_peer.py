@@ -7,7 +7,9 @@ from typing import Any
 import numpy as np
 
 from crazychoir.bench.peers.peers import report, say, specification, wait_for_go
+from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.network.zenoh_session import SessionEndpoints
 from crazychoir.bus.port import Bus
 from crazychoir.launch.joining import wait_until_joined
 from crazychoir.runtime.clock import Clock, run_wall
@@ -30,8 +32,8 @@ async def join_others(
     group: asyncio.TaskGroup, bus: Bus, team: Graph, spec: dict[str, Any]
 ) -> ZenohLink:
     """Open the link to the other processes, and return it when all have been found."""
-    endpoints = {"listen": spec["listen"], "connect": spec["connect"]}
-    link = ZenohLink(bus, spec["swarm"], incarnation=1, version="bench", **endpoints)
+    own = Introduction(spec["swarm"], incarnation=1, version="bench")
+    link = ZenohLink(bus, own, SessionEndpoints(spec["listen"], spec["connect"]))
     link.open()
     group.create_task(link.run())
     await wait_until_joined(link, team)

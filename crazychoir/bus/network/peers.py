@@ -75,8 +75,8 @@ class Peer:
     """True if a forbidden command of it was logged."""
     offset: ClockOffset = field(default_factory=ClockOffset)
     """Offset of its clock."""
-    lanes: dict[MessageClass, Any] = field(default_factory=dict)
-    """Lanes of the link, by class."""
+    queues: dict[MessageClass, Any] = field(default_factory=dict)
+    """Queues of the outbox, by class."""
     budget: FrameBudget = field(default_factory=FrameBudget)
     """The frames that it may still send through a socket."""
 

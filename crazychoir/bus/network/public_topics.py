@@ -16,7 +16,7 @@ from crazychoir.runtime.actor import Actor
 
 
 class Announcer(Protocol):
-    """The part of a network link that `PublicCopies` needs."""
+    """The part of a network session that `PublicCopies` needs."""
 
     def has_audience(self, topic: str) -> bool:
         """Return whether another program reads this topic of some drone."""

@@ -147,7 +147,9 @@ async def _replay(
     import random
 
     from crazychoir.bus.network.hello import PACKAGE_VERSION
+    from crazychoir.bus.network.hello_review import Introduction
     from crazychoir.bus.network.zenoh_link import ZenohLink
+    from crazychoir.bus.network.zenoh_session import SessionEndpoints
     from crazychoir.bus.port import Bus
     from crazychoir.bus.topics import OBSERVABLE_TOPICS, TOPIC_BY_NAME
     from crazychoir.config.addresses import Addresses
@@ -169,12 +171,12 @@ async def _replay(
             bus.port(address, incarnation)
     link = ZenohLink(
         bus,
-        config.name,
-        listen=list(Addresses(config).endpoints().values()),
-        connect=[],
-        incarnation=incarnation,
-        version=PACKAGE_VERSION,
-        lease=config.lease,
+        Introduction(config.name, incarnation, PACKAGE_VERSION),
+        SessionEndpoints(
+            listen=list(Addresses(config).endpoints().values()),
+            connect=[],
+            lease=config.lease,
+        ),
     )
     replayer = Replayer(
         bus,

@@ -14,7 +14,7 @@ from crazychoir.cli.operate.inspect import SwarmOption, run_as_observer
 from crazychoir.launch import number_options as options
 
 if TYPE_CHECKING:
-    from crazychoir.bus.network.zenoh_link import OutsideSession
+    from crazychoir.bus.network.zenoh_session import OutsideSession
     from crazychoir.cli.shared.observer import Window
     from crazychoir.recording.ros.rviz import Places
     from crazychoir.types import State, Vec
@@ -57,7 +57,7 @@ def ros(
     """
 
     async def work(window: "Window") -> None:
-        from crazychoir.bus.network.zenoh_link import OutsideSession
+        from crazychoir.bus.network.zenoh_session import OutsideSession
 
         ids = await window.find()
         with OutsideSession(connect) as outside:

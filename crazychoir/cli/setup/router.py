@@ -30,7 +30,7 @@ def router(
     set_up_logging()
     # The threads of Zenoh inherit this mask, so that only sigwait receives these signals.
     unmasked = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
-    from crazychoir.bus.network.zenoh_link import route_messages
+    from crazychoir.bus.network.zenoh_session import route_messages
     from crazychoir.config.access import access_of
     from crazychoir.config.addresses import Addresses
     from crazychoir.config.swarm_config import find_swarm

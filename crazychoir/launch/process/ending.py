@@ -37,7 +37,7 @@ def run_to_exit(app: Callable[[], None]) -> None:
     except SystemExit as ended:
         if (
             isinstance(ended.code, int)
-            and "crazychoir.bus.network.zenoh_link" in sys.modules
+            and "crazychoir.bus.network.zenoh_session" in sys.modules
         ):
             sys.stdout.flush()
             sys.stderr.flush()

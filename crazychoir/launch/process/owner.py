@@ -7,7 +7,9 @@ from dataclasses import asdict, dataclass
 from typing import Any, Protocol, Self
 
 from crazychoir.bus.network.hello import PACKAGE_VERSION
+from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.network.zenoh_session import SessionEndpoints
 from crazychoir.bus.port import Bus
 from crazychoir.config.access import access_of
 from crazychoir.config.addresses import Addresses
@@ -86,16 +88,20 @@ async def run_owner(
     addresses = Addresses(config)
     link = ZenohLink(
         owner.bus,
-        config.name,
-        listen=[listen or addresses.endpoints()[identity.number]],
-        connect=list(connect),
-        routers=addresses.routers,
-        incarnation=identity.incarnation,
-        version=PACKAGE_VERSION,
-        lease=config.lease,
+        Introduction(
+            swarm=config.name,
+            incarnation=identity.incarnation,
+            version=PACKAGE_VERSION,
+            agreed=compute_body_digests(config),
+        ),
+        SessionEndpoints(
+            listen=[listen or addresses.endpoints()[identity.number]],
+            connect=list(connect),
+            routers=addresses.routers,
+            lease=config.lease,
+        ),
         access=access_of(config, identity.host, *filter(None, [listen])),
         on_refused=owner.refuse,
-        agreed=compute_body_digests(config),
     )
     link.open()
     watchdog = Watchdog(owner.clock) if is_watched else None

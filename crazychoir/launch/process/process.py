@@ -9,8 +9,10 @@ from typing import Any
 from crazychoir.agent.agent import Agent, AgentProcess
 from crazychoir.agent.worlds import WorldProcess
 from crazychoir.bus.network.hello import PACKAGE_VERSION
+from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.public_topics import PublicCopies
 from crazychoir.bus.network.zenoh_link import ZenohLink
+from crazychoir.bus.network.zenoh_session import SessionEndpoints
 from crazychoir.config.access import access_of
 from crazychoir.config.addresses import PROCESS_NUMBERS, Addresses
 from crazychoir.config.digest import compute_body_digests
@@ -70,7 +72,7 @@ def run_agent(
         others_hang_too = bool(agent.owned) or len(ids) > 1
         agent.watchdog = watchdog = Watchdog(clock, agent.stalled, soon=others_hang_too)
         watchdog.start()
-        agent.services += [link, PublicCopies(agent.bus, link, ids)]
+        agent.services += [link, PublicCopies(agent.bus, link.session, ids)]
         agent.services += make_services(agent)
         try:
             results = await agent.run()
@@ -121,19 +123,23 @@ def _make_process_link(
 
     return ZenohLink(
         agent.bus,
-        config.name,
-        listen=[listen or own],
-        connect=lower if connect is None else connect,
-        routers=[] if listen or connect else Addresses(config).routers,
-        incarnation=agent.incarnation,
-        version=PACKAGE_VERSION,
-        lease=config.lease,
+        Introduction(
+            swarm=config.name,
+            incarnation=agent.incarnation,
+            version=PACKAGE_VERSION,
+            agreed=compute_body_digests(config),
+        ),
+        SessionEndpoints(
+            listen=[listen or own],
+            connect=lower if connect is None else connect,
+            routers=[] if listen or connect else Addresses(config).routers,
+            lease=config.lease,
+        ),
         access=access_of(
             config, agent.bus.host, *filter(None, [listen, *(connect or ())])
         ),
         on_token=on_token,
         on_refused=on_refused,
-        agreed=compute_body_digests(config),
     )
 
 

@@ -24,7 +24,7 @@ app = typer.Typer()
 @app.command()
 def command(code: int, session: bool):
     if session:
-        from crazychoir.bus.network import zenoh_link as zenoh
+        import crazychoir.bus.network.zenoh_session
 
         threading.Thread(target=time.sleep, args=(60.0,)).start()
     print("the result")
