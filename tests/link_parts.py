@@ -8,7 +8,7 @@ from crazychoir.bus.network.hello import Hello
 from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.peers import Peers
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.bus.topics import MessageClass
 from crazychoir.runtime.clock import Clock
 
 FRAME_KEY = "choir/s/f/0-1/b/1-1/control"
@@ -65,6 +65,10 @@ def make_hello(process: str = "1-1", host: str = "b", **changes: Any) -> Hello:
     return Hello(process=process, host=host, **{**fields, **changes})
 
 
-def make_frame(*messages: Envelope, process: str = "1-1") -> bytes:
+def make_frame(
+    *messages: Envelope,
+    process: str = "1-1",
+    klass: MessageClass = MessageClass.CONTROL,
+) -> bytes:
     """Return a frame of another process."""
-    return encode_frame(Frame(process, 2, DRONE_TOPICS.state.klass, list(messages)))
+    return encode_frame(Frame(process, 2, klass, list(messages)))

@@ -116,6 +116,8 @@ class RemoteLink:
         self.gone = gone
         self._body = PORT_ADDRESSES.body_offset + port.address
         self._cut = self._heard = False
+        self._sent = 0
+        """Commands sent: the number of the last one."""
         self._commander, self._asking = Commander(port), list[asyncio.Task[None]]()
         self.found_flying: Callable[[], None] = lambda: None
         """Called if the body is in the air at the first report, also the first after a silence.
@@ -154,7 +156,10 @@ class RemoteLink:
         if self._cut:
             self.cut()
         elif self._heard and not self.unheard():
-            self.port.send(DRONE_TOPICS.command, (self._body,), encode(command))
+            self._sent += 1
+            self.port.send(
+                DRONE_TOPICS.command, (self._body,), encode(command), self._sent
+            )
         else:
             self._heard = False
 

@@ -8,7 +8,6 @@ import os
 import secrets
 import signal
 import socket
-import sys
 import threading
 import time
 from collections.abc import AsyncIterator, Callable
@@ -18,6 +17,7 @@ from typing import Any
 import pytest
 import zenoh
 from ports import free_ports
+from system.link_children import Child, endpoint, until
 from system.link_process import consensus_here, endings_here, linked, wall_clock
 
 from crazychoir.bus.codec import encode
@@ -33,53 +33,7 @@ from crazychoir.team.graph import Graph
 from crazychoir.types import State, Status
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
-CHILD = Path(__file__).with_name("link_process.py")
 OBSERVER = 10_001
-
-
-def endpoint(port: int) -> str:
-    return f"tcp/127.0.0.1:{port}"
-
-
-async def until(condition: Callable[[], Any], seconds: float = 10.0) -> float:
-    """Wait for it; returns how long that took."""
-    began = time.perf_counter()
-    async with asyncio.timeout(seconds):
-        while not condition():  # noqa: ASYNC110 - of another process or thread
-            await asyncio.sleep(0.001)
-    return time.perf_counter() - began
-
-
-class Child:
-    """Another process, and its answers."""
-
-    def __init__(self, process: asyncio.subprocess.Process) -> None:
-        self.process = process
-
-    async def ask(self, command: str, **arguments: Any) -> dict[str, Any]:
-        self.process.stdin.write(json.dumps([command, arguments]).encode() + b"\n")
-        return await self.answer()
-
-    async def answer(self) -> dict[str, Any]:
-        async with asyncio.timeout(30):
-            line = await self.process.stdout.readline()
-        assert line, (await self.process.stderr.read()).decode()
-        return json.loads(line)
-
-    async def when(self, name: str, empty: bool = False) -> dict[str, Any]:
-        """Return the status of the child as soon as an entry is there (or gone)."""
-        async with asyncio.timeout(5):
-            while bool((status := await self.ask("status"))[name]) is empty:  # noqa: ASYNC110
-                await asyncio.sleep(0.01)
-        return status
-
-    async def end(self) -> str:
-        """Close its input and wait; returns what it wrote to standard error."""
-        self.process.stdin.close()
-        async with asyncio.timeout(10):
-            errors = await self.process.stderr.read()
-            assert await self.process.wait() == 0, errors.decode()
-        return errors.decode()
 
 
 class Ground:
@@ -127,19 +81,7 @@ class Ground:
             "connect": [endpoint(self.ports[0])],
             **more,
         }
-        pipe = asyncio.subprocess.PIPE
-        started = await asyncio.create_subprocess_exec(
-            sys.executable,
-            CHILD,
-            json.dumps(options),
-            stdin=pipe,
-            stdout=pipe,
-            stderr=pipe,
-        )
-        self.stack.push_async_callback(reap, started)
-        child = Child(started)
-        assert await child.answer() == {"open": process}
-        return child
+        return await Child.start(options, self.stack)
 
     def knows(self, link: ZenohLink, process: str = "b-1") -> Callable[[], bool]:
         """Whether HELLO has gone both ways."""
@@ -162,13 +104,6 @@ class Ground:
         session = zenoh.open(config)
         self.stack.callback(session.close)
         return session
-
-
-async def reap(process: asyncio.subprocess.Process) -> None:
-    if process.returncode is None:
-        process.kill()
-    await process.wait()
-    process._transport.close()
 
 
 @pytest.fixture

@@ -25,7 +25,13 @@ ROOMS = {
 TWINS = {"cvxpy": "cvxpy-base"}
 """Distributions of the same package with fewer dependencies: an old environment may still have the larger one."""
 IMPORTERS = ("import_module", "find_spec", "__import__")
-NAMED_OTHERWISE = {"PIL": "pillow", "vroom": "pyvroom", "zenoh": "eclipse-zenoh"}
+NAMED_OTHERWISE = {
+    "PIL": "pillow",
+    "mango": "mango-agents",
+    "vroom": "pyvroom",
+    "zenoh": "eclipse-zenoh",
+    "zmq": "pyzmq",
+}
 """The distributions of modules, where these may not be installed."""
 BY_HAND = {"cffirmware", "crazyflow"}
 """Modules that no extra can bring: the firmware's own, which is built with it, and a peer that users install."""

@@ -1,4 +1,4 @@
-"""Our program: drones of a process use `neighbors_exchange`; Zenoh connects the processes."""
+"""Our program: drones of a process use `neighbors_exchange`; sockets connect the processes."""
 
 import asyncio
 from collections.abc import Callable

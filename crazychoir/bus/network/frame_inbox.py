@@ -15,7 +15,7 @@ from crazychoir.bus.network.link_keys import read_sender, read_token
 from crazychoir.bus.network.peers import Peer, Peers
 from crazychoir.bus.network.zenoh_session import FrameSample
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import MESSAGE_TOPICS
+from crazychoir.bus.topics import MESSAGE_TOPICS, MessageClass
 from crazychoir.errors import CodecError
 from crazychoir.runtime.clock import NS_PER_SECOND
 
@@ -104,7 +104,11 @@ class FrameInbox:
             self._greeter.meet_stranger(key, frame)
             return
         counters.frames_received += 1
-        self._distribute(peer, frame.envelopes, arrived_ns)
+        messages = frame.envelopes
+        if frame.kind == MessageClass.CONTROL:
+            messages = peer.control.drop_overtaken(messages)
+            counters.overtaken += len(frame.envelopes) - len(messages)
+        self._distribute(peer, messages, arrived_ns)
 
     def _local_frame(self, process: str, data: bytes, sent_ns: int) -> None:
         """Take a frame that came through a socket.
@@ -131,6 +135,8 @@ class FrameInbox:
             self._counters.strangers += 1
             return
         self._counters.frames_received += 1
+        if frame.kind == MessageClass.CONTROL:
+            peer.control.note(frame.envelopes)
         self._distribute(peer, frame.envelopes, min(sent_ns, now_ns))
 
     def _sender(self, key: str, frame: Frame) -> Peer | None:

@@ -30,6 +30,8 @@ class PeerQueue:
     """Publisher of the frames that go through Zenoh."""
     process: str
     """Name of the peer."""
+    klass: MessageClass
+    """Class of the messages."""
 
 
 class FrameOutbox:
@@ -85,7 +87,7 @@ class FrameOutbox:
         conflate = klass is MessageClass.CONTROL
         name = self._session.keys.process
         buffer = FrameBuffer(name, self._incarnation, klass, conflate)
-        queue = peer.queues[klass] = PeerQueue(buffer, publisher, peer.process)
+        queue = peer.queues[klass] = PeerQueue(buffer, publisher, peer.process, klass)
         return queue
 
     def drop_queues(self, peer: Peer) -> None:
@@ -130,9 +132,7 @@ class FrameOutbox:
                 continue
             for frame in frames:
                 if sockets.is_connected(queue.process):
-                    is_sent = sockets.send(queue.process, frame)
-                    if not is_sent:
-                        counters.full += 1
+                    is_sent = sockets.send(queue.process, queue.klass, frame)
                 else:
                     is_sent = session.send(queue.publisher.put, frame)
                 if is_sent:

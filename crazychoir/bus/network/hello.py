@@ -12,7 +12,7 @@ from msgspec import Meta
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.frames import FRAME_FORMAT
-from crazychoir.bus.network.local_sockets import NO_LOCAL_ADDRESS, LocalAddress
+from crazychoir.bus.network.local_address import NO_LOCAL_ADDRESS, LocalAddress
 from crazychoir.bus.port import PORT_ADDRESSES, Interest
 from crazychoir.errors import CodecError, error_text
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from crazychoir.bus.network.hello import Hello
-from crazychoir.bus.network.local_sockets import NO_LOCAL_ADDRESS, LocalAddress
+from crazychoir.bus.network.local_address import NO_LOCAL_ADDRESS, LocalAddress
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 
 COPY_FILE_ADVICE: Final = "Copy one file to every host, and start both again."

@@ -14,12 +14,13 @@ class LinkCounters:
     bytes_sent: int = 0
     """Bytes of the sent frames."""
     malformed: int = 0
-    """Frames and messages that could not be decoded."""
+    """Frames and messages that could not be decoded, and packets that are no frames."""
     other_version: int = 0
     """Frames of another version of the format."""
     strangers: int = 0
     """Frames and messages of processes without a token (or with a HELLO
-    that overtook it), or in the name of another process.
+    that overtook it), or in the name of another process; connections of
+    another user, another swarm, or an unknown process of this host.
     """
     forbidden: int = 0
     """Commands of hosts that are not operators."""
@@ -37,6 +38,10 @@ class LinkCounters:
     """Frames that Zenoh refused to send."""
     full: int = 0
     """Frames dropped because a process of this host does not read fast enough."""
+    overtaken: int = 0
+    """Control messages that were dropped because a newer one came first, through a socket."""
+    broken: int = 0
+    """Connections to processes of this host that ended with an error."""
     tokens: int = 0
     """Additional tokens, declared because another process lost ours."""
     worst_put_s: float = 0.0

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from crazychoir.bus.clock_offset import ClockOffset, OffsetEstimate
+from crazychoir.bus.control_numbers import ControlNumbers
 from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.endpoints import is_name
 from crazychoir.bus.network.flood_limit import FrameBudget
@@ -19,7 +20,7 @@ from crazychoir.bus.network.hello_review import (
     Introduction,
     describe_address,
 )
-from crazychoir.bus.network.local_sockets import LocalIdentity
+from crazychoir.bus.network.local_address import LocalIdentity
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import MessageClass
 from crazychoir.errors import CodecError, Refused
@@ -77,6 +78,8 @@ class Peer:
     """Offset of its clock."""
     queues: dict[MessageClass, Any] = field(default_factory=dict)
     """Queues of the outbox, by class."""
+    control: ControlNumbers = field(default_factory=ControlNumbers)
+    """The newest control messages that came through a socket."""
     budget: FrameBudget = field(default_factory=FrameBudget)
     """The frames that it may still send through a socket."""
 

@@ -21,7 +21,8 @@ from crazychoir.bus.network.greeter import Greeter
 from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.link_counters import LinkCounters
 from crazychoir.bus.network.link_keys import LinkKeys
-from crazychoir.bus.network.local_sockets import LocalIdentity, LocalSockets
+from crazychoir.bus.network.local_address import LocalIdentity
+from crazychoir.bus.network.local_sockets import LocalSockets
 from crazychoir.bus.network.peers import OnRefused, OnToken, Peer, Peers
 from crazychoir.bus.network.zenoh_session import SessionEndpoints, ZenohSession
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
@@ -67,7 +68,7 @@ class ZenohLink(Actor):
         self.peers = self.table.by_name
         self.directory = self.table.directory
         self.session = ZenohSession(keys, reach, access, counters, now_ns)
-        self.sockets = LocalSockets(identity, self.table.may_connect, now_ns)
+        self.sockets = LocalSockets(identity, self.table.may_connect, counters, now_ns)
         self.outbox = FrameOutbox(self.session, self.sockets, own.incarnation, counters)
         self.greeter = Greeter(
             bus, self.table, self.session, self.outbox, self.sockets, counters

@@ -19,7 +19,7 @@ from crazychoir.bus.network.arrival_queue import FRAME_READING
 from crazychoir.bus.network.flood_limit import FLOOD_LIMITS
 from crazychoir.bus.network.frame_inbox import FrameInbox
 from crazychoir.bus.network.link_counters import LinkCounters
-from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
+from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS, MessageClass
 
 
 class NotedGreeter:
@@ -80,9 +80,9 @@ class Sample:
         self.payload = zenoh.ZBytes(payload)
 
 
-def log_line(text="x", source=1, to=(0,), age=0.5):
+def log_line(text="x", source=1, to=(0,), age=0.5, number=0):
     topic = DRONE_TOPICS.log.number
-    return Envelope(topic, source, to, 0, 0, age, "", encode(text))
+    return Envelope(topic, source, to, number, 0, age, "", encode(text))
 
 
 async def test_a_message_is_delivered_once_to_a_repeated_receiver(receiver):
@@ -219,3 +219,29 @@ async def test_an_error_of_a_handler_of_a_local_frame_is_counted(receiver):
     receiver.bus.ports[0].handlers[DRONE_TOPICS.log.number] = fails
     receiver.inbox.receive_local("1-1", make_frame(log_line()), 0)
     assert receiver.counters.failed == 1
+
+
+@pytest.mark.parametrize("klass", [MessageClass.CONTROL, MessageClass.ROUNDS])
+async def test_control_through_zenoh_does_not_replace_newer_control_of_a_socket(
+    receiver, klass
+):
+    """The first message through a socket may overtake the last ones through Zenoh."""
+    inbox = receiver.inbox
+    for number in (1, 3):
+        frame = make_frame(log_line(str(number), number=number), klass=klass)
+        inbox.receive_local("1-1", frame, 0)
+    late = [log_line(str(number), number=number) for number in (2, 3, 4)]
+    late += [log_line("unnumbered"), log_line("elsewhere", to=(0, 5), number=1)]
+    for message in late:
+        inbox._frame(FRAME_KEY, make_frame(message, klass=klass), 0)
+    dropped = klass is MessageClass.CONTROL
+    assert receiver.counters.overtaken == dropped
+    assert [text for text, _ in receiver.heard] == [
+        "1",
+        "3",
+        *(["2"] if not dropped else []),
+        "3",
+        "4",
+        "unnumbered",
+        "elsewhere",
+    ]

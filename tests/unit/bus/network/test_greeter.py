@@ -11,7 +11,7 @@ from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.greeter import Greeter
 from crazychoir.bus.network.hello import Hello
 from crazychoir.bus.network.link_counters import LinkCounters
-from crazychoir.bus.network.local_sockets import LocalAddress
+from crazychoir.bus.network.local_address import LocalAddress
 from crazychoir.bus.network.lost_tokens import LOST_TOKEN_LIMITS
 from crazychoir.bus.topics import MESSAGE_TOPICS
 

@@ -16,13 +16,12 @@ from unittest.mock import Mock
 import pytest
 
 from crazychoir.bus.frames import FRAME_FORMAT
-from crazychoir.bus.network import local_sockets
-from crazychoir.bus.network.local_sockets import (
-    SOCKET_LIMITS,
-    LocalAddress,
-    LocalIdentity,
-    LocalSockets,
-)
+from crazychoir.bus.network import local_address, local_connection, local_sockets
+from crazychoir.bus.network.link_counters import LinkCounters
+from crazychoir.bus.network.local_address import LocalAddress, LocalIdentity
+from crazychoir.bus.network.local_connection import CONNECTION_SIZES
+from crazychoir.bus.network.local_sockets import SOCKET_LIMITS, LocalSockets
+from crazychoir.bus.topics import MessageClass
 from crazychoir.files.user_folders import RUNTIME_VARIABLE
 
 VERSION = bytes([FRAME_FORMAT.version])
@@ -36,12 +35,20 @@ class End:
         self.waits: list[float] = []
         """Seconds from the sending of each frame to its reading."""
         self.known = True
+        self.counters = LinkCounters()
         self.sockets = LocalSockets(
             LocalIdentity(swarm, name, incarnation),
             lambda identity: self.known,
+            self.counters,
             time.monotonic_ns,
         )
         self.sockets.open(self._receive)
+
+    def send(
+        self, process: str, frame: bytes, klass: MessageClass = MessageClass.ROUNDS
+    ) -> bool:
+        """Send a frame to another end."""
+        return self.sockets.send(process, klass, frame)
 
     def _receive(self, process: str, frame: bytes, sent_ns: int) -> None:
         self.frames.append((process, frame))
@@ -90,8 +97,8 @@ async def test_frames_go_both_ways_in_order(ends):
     await connect(a, b)
     frames = [VERSION + bytes([n]) for n in range(100)]
     for frame in frames:
-        a.sockets.send("b", frame)
-        b.sockets.send("a", frame)
+        a.send("b", frame)
+        b.send("a", frame)
     await until(lambda: len(a.frames) == len(b.frames) == 100)
     assert b.frames == [("a", frame) for frame in frames]
     assert a.frames == [("b", frame) for frame in frames]
@@ -101,9 +108,9 @@ async def test_frames_go_both_ways_in_order(ends):
 async def test_large_frames_go_in_pieces(ends, extra):
     a, b = ends("a"), ends("b")
     await connect(a, b)
-    frame = VERSION + os.urandom(SOCKET_LIMITS.piece_size - 1 + extra)
-    a.sockets.send("b", frame)
-    a.sockets.send("b", VERSION)
+    frame = VERSION + os.urandom(CONNECTION_SIZES.piece_size - 1 + extra)
+    a.send("b", frame)
+    a.send("b", VERSION)
     await until(lambda: len(b.frames) == 2)
     assert b.frames == [("a", frame), ("a", VERSION)]
 
@@ -114,13 +121,13 @@ async def test_large_frames_arrive_where_the_system_grants_small_buffers(
     ends, monkeypatch, size, buffer_size
 ):
     """A grant of 425984 bytes, twice the larger one, is usual."""
-    small = replace(SOCKET_LIMITS, buffer_size=buffer_size)
-    monkeypatch.setattr(local_sockets, "SOCKET_LIMITS", small)
+    small = replace(CONNECTION_SIZES, buffer_size=buffer_size)
+    monkeypatch.setattr(local_connection, "CONNECTION_SIZES", small)
     a, b = ends("a"), ends("b")
     await connect(a, b)
     for count in (1, 2):
         frame = VERSION + os.urandom(size)
-        assert a.sockets.send("b", frame)
+        assert a.send("b", frame)
         await until(lambda count=count: len(b.frames) == count)
         assert b.frames[-1] == ("a", frame)
 
@@ -129,12 +136,12 @@ async def test_large_frames_arrive_where_the_system_grants_small_buffers(
 async def test_what_a_process_has_sent_before_its_end_is_read(ends, sends_too_late):
     a, b = ends("a"), ends("b")
     await connect(a, b)
-    b.sockets.send("a", VERSION + b"unread")
+    b.send("a", VERSION + b"unread")
     for n in range(10):
-        a.sockets.send("b", VERSION + bytes([n]))
+        a.send("b", VERSION + bytes([n]))
     a.sockets.close()
     if sends_too_late:
-        b.sockets.send("a", VERSION + b"too late")
+        b.send("a", VERSION + b"too late")
     await until(lambda: len(b.frames) == 10)
     await until(lambda: not b.sockets.is_connected("a"))
 
@@ -147,7 +154,7 @@ async def test_all_connections_share_the_time_of_a_pass(ends, monkeypatch):
         await connect(other, b)
     for other in others:
         for _ in range(20):
-            other.sockets.send("b0", VERSION)
+            other.send("b0", VERSION)
     now_ns = itertools.count(0, SOCKET_LIMITS.slice_ns // 4)
     b.sockets._now_ns = lambda: next(now_ns)
     before = len(b.frames)
@@ -164,7 +171,7 @@ async def test_a_process_of_the_same_name_takes_the_place(ends):
     try:
         a.sockets.reach("b", new.sockets.address)
         await until(lambda: new.sockets.is_connected("a"))
-        a.sockets.send("b", VERSION)
+        a.send("b", VERSION)
         await until(lambda: new.frames)
         assert old.frames == []
     finally:
@@ -203,23 +210,75 @@ async def test_a_process_that_does_not_read_loses_frames_and_hurts_no_other(ends
     await connect(a, b)
     await connect(a, c)
     frame = VERSION + bytes(50_000)
-    taken = sum(a.sockets.send("b", frame) for _ in range(200))
-    assert a.sockets.send("c", frame)
+    taken = sum(a.send("b", frame) for _ in range(200))
+    assert a.send("c", frame)
     assert 0 < taken < 100
+    assert a.counters.full == 200 - taken
     await until(lambda: c.frames)
     await until(lambda: len(b.frames) == taken)
-    a.sockets.send("b", VERSION)
+    a.send("b", VERSION)
     await until(lambda: b.frames[-1] == ("a", VERSION))
+
+
+async def test_urgent_frames_go_before_waiting_ones_of_other_classes(ends):
+    """Each class keeps its order, and a frame that is being sent is not cut in two."""
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    for n in range(20):
+        assert a.send("b", VERSION + bytes([n]) * 200_000, MessageClass.BULK)
+        if a.sockets._connections["b"].is_full:
+            break
+    for n in range(3):
+        assert a.send("b", VERSION + b"bulk%d" % n, MessageClass.BULK)
+        assert a.send("b", VERSION + b"round%d" % n, MessageClass.ROUNDS)
+        assert a.send("b", VERSION + b"control%d" % n, MessageClass.CONTROL)
+        assert a.send("b", VERSION + b"estop%d" % n, MessageClass.ESTOP)
+    await until(lambda: ("a", VERSION + b"bulk2") in b.frames)
+    assert [frame[1:].decode() for _, frame in b.frames if len(frame) < 20] == [
+        name + str(n)
+        for name in ("estop", "control", "round", "bulk")
+        for n in range(3)
+    ]
+    assert all(len(set(frame[1:])) == 1 for _, frame in b.frames if len(frame) > 20)
+
+
+@pytest.mark.parametrize(
+    ("klass", "lost"),
+    [(MessageClass.ROUNDS, "newest"), (MessageClass.CONTROL, "oldest")],
+)
+async def test_without_room_control_frames_replace_older_ones(ends, klass, lost):
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    frames = [VERSION + bytes([n]) * 100_000 for n in range(100)]
+    for frame in frames:
+        a.send("b", frame, klass)
+    count = len(frames) - a.counters.full
+    assert 0 < count < 100
+    await until(lambda: len(b.frames) == count)
+    arrived = [frame for _, frame in b.frames]
+    if lost == "newest":
+        assert arrived == frames[:count]
+    else:
+        assert arrived[-10:] == frames[-10:]
+
+
+async def test_a_class_without_room_leaves_the_others_theirs(ends):
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    while a.send("b", VERSION + bytes(100_000), MessageClass.BULK):
+        pass
+    assert a.send("b", VERSION + b"stop", MessageClass.ESTOP)
+    await until(lambda: ("a", VERSION + b"stop") in b.frames)
 
 
 async def test_a_large_frame_is_dropped_whole_or_arrives_whole(ends):
     a, b = ends("a"), ends("b")
     await connect(a, b)
     big = VERSION + os.urandom(600_000)
-    taken = sum(a.sockets.send("b", big) for _ in range(10))
+    taken = sum(a.send("b", big) for _ in range(10))
     assert 0 < taken < 10
     await until(lambda: len(b.frames) == taken)
-    assert a.sockets.send("b", big)
+    assert a.send("b", big)
     await until(lambda: len(b.frames) == taken + 1)
     assert all(frame == big for _, frame in b.frames)
 
@@ -231,7 +290,7 @@ async def test_an_end_that_closes_is_noticed_and_may_come_again(ends):
     await until(lambda: not a.sockets.is_connected("b"))
     again = ends("b")
     await connect(a, again)
-    a.sockets.send("b", VERSION)
+    a.send("b", VERSION)
     await until(lambda: again.frames)
 
 
@@ -245,6 +304,21 @@ async def test_sockets_of_processes_that_were_killed_are_removed(ends):
         Path(end.sockets.address.path) for end in (a, b)
     )
     await connect(a, b)
+
+
+@pytest.mark.parametrize(("age", "stays"), [(0.0, True), (60.0, False)])
+async def test_sockets_of_processes_killed_before_they_listened_are_removed(
+    ends, age, stays
+):
+    """A new one may belong to a process that is going to listen."""
+    a = ends("a")
+    begun = Path(a.sockets.address.path).with_name("begun.new")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as killed:
+        killed.bind(str(begun))
+    os.utime(begun, (time.time() - age,) * 2)
+    ends("b")
+    assert begun.exists() == stays
+    begun.unlink(missing_ok=True)
 
 
 async def test_without_free_file_descriptors_the_network_is_used(ends, caplog):
@@ -286,7 +360,7 @@ async def test_strangers_are_refused(ends, swarm):
     a, b = ends("a", swarm), ends("b")
     b.known = swarm != "swarm"
     a.sockets.reach("b", b.sockets.address)
-    await until(lambda: b.sockets.counters.strangers == 1)
+    await until(lambda: b.counters.strangers == 1)
     await until(lambda: not a.sockets.is_connected("b"))
     assert not b.sockets.is_connected("a")
 
@@ -297,7 +371,7 @@ async def test_a_connection_without_an_identity_is_closed(ends, packet):
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as raw:
         raw.connect(b.sockets.address.path)
         raw.send(packet)
-        await until(lambda: b.sockets.counters.malformed == 1)
+        await until(lambda: b.counters.malformed == 1)
         raw.setblocking(False)
         assert raw.recv(10) == b""
     assert b.frames == []
@@ -307,7 +381,7 @@ async def test_a_connection_without_an_identity_is_closed(ends, packet):
 async def test_a_frame_ages_while_its_reader_is_busy(ends, size):
     a, b = ends("a"), ends("b")
     await connect(a, b)
-    a.sockets.send("b", VERSION * size)
+    a.send("b", VERSION * size)
     time.sleep(0.1)  # noqa: ASYNC251 - the event loop of the reader is to hang
     await until(lambda: b.frames)
     assert 0.1 <= b.waits[0] < 1.0
@@ -318,10 +392,10 @@ async def test_packets_that_are_no_frames_are_counted(ends, packet):
     a, b = ends("a"), ends("b")
     await connect(a, b)
     a.sockets._connections["b"].socket.send(packet)
-    a.sockets.send("b", VERSION)
+    a.send("b", VERSION)
     await until(lambda: b.frames)
     assert b.frames == [("a", VERSION)]
-    assert b.sockets.counters.malformed == 1
+    assert b.counters.malformed == 1
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can act as another user")
@@ -346,7 +420,7 @@ async def test_a_process_of_another_user_is_a_stranger(ends, monkeypatch):
         )
     finally:
         path.parent.chmod(0o700)
-    await until(lambda: b.sockets.counters.strangers == 1)
+    await until(lambda: b.counters.strangers == 1)
     assert ended.stdout.strip() == "0", ended.stderr
 
 
@@ -355,16 +429,16 @@ async def test_a_reader_may_end_the_connection(ends):
     await connect(a, b)
     b.sockets._receive = lambda process, frame, sent_ns: b.sockets.forget(process)
     for _ in range(3):
-        a.sockets.send("b", VERSION)
+        a.send("b", VERSION)
     await until(lambda: not a.sockets.is_connected("b"))
-    assert b.sockets.counters.broken == 0
+    assert b.counters.broken == 0
 
 
 async def test_a_second_connection_of_a_process_takes_the_place_of_the_first(ends):
     a, b = ends("a"), ends("b")
     await connect(a, b)
     path = Path(b.sockets.address.path)
-    with local_sockets.connect_to(path, a.sockets.identity):
+    with local_address.connect_to(path, a.sockets.identity):
         await until(lambda: not a.sockets.is_connected("b"))
         assert b.sockets.is_connected("a")
 
@@ -373,8 +447,8 @@ async def test_pieces_that_do_not_follow_each_other_are_no_frame(ends):
     a, b = ends("a"), ends("b")
     await connect(a, b)
     raw = a.sockets._connections["b"].socket
-    head = local_sockets.PACKET_HEAD
-    go_on, last = local_sockets.PIECE_MARK, local_sockets.LAST_PIECE_MARK
+    head = local_connection.PACKET_HEAD
+    go_on, last = local_connection.PIECE_MARK, local_connection.LAST_PIECE_MARK
     raw.send(head.pack(last, 7, 0) + b"end without a start")
     raw.send(head.pack(go_on, 0, 0) + b"start")
     raw.send(head.pack(last, 6, 0) + b"after a gap")
@@ -392,19 +466,19 @@ async def test_pieces_without_end_take_no_memory(ends):
     raw.setblocking(True)
     piece = bytes(100_000)
     for k in range(30):
-        mark = local_sockets.PIECE_MARK
-        head = local_sockets.PACKET_HEAD.pack(mark, k * len(piece), 0)
+        mark = local_connection.PIECE_MARK
+        head = local_connection.PACKET_HEAD.pack(mark, k * len(piece), 0)
         await asyncio.to_thread(raw.send, head + piece)
     raw.setblocking(False)
-    a.sockets.send("b", VERSION)
-    held = b.sockets._connections["a"].pieces
+    a.send("b", VERSION)
+    held = b.sockets._connections["a"]._pieces
     assert len(held) <= FRAME_FORMAT.max_bytes + len(piece)
     await until(lambda: b.frames)
 
 
 def test_a_network_namespace_of_its_own_is_another_machine():
     program = (
-        "from crazychoir.bus.network.local_sockets import find_machine; "
+        "from crazychoir.bus.network.local_address import find_machine; "
         "print(find_machine())"
     )
     alone = subprocess.run(
@@ -415,7 +489,7 @@ def test_a_network_namespace_of_its_own_is_another_machine():
     )
     if alone.returncode:
         pytest.skip(f"no network namespace can be made: {alone.stderr.strip()}")
-    machine = local_sockets.find_machine()
+    machine = local_address.find_machine()
     assert alone.stdout.strip() not in ("", machine)
     assert alone.stdout.partition("/")[0] == machine.partition("/")[0]
 

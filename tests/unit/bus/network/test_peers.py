@@ -15,7 +15,7 @@ from crazychoir.bus.network import endpoints
 from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.hello import HELLO_RULES, Hello
 from crazychoir.bus.network.hello_review import Introduction
-from crazychoir.bus.network.local_sockets import LocalIdentity
+from crazychoir.bus.network.local_address import LocalIdentity
 from crazychoir.bus.network.peers import PEER_LIMITS, Peer, Peers
 from crazychoir.bus.network.public_topics import fields_as_json
 from crazychoir.bus.port import PORT_ADDRESSES, Bus, Interest

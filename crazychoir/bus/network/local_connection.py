@@ -1,0 +1,212 @@
+"""The socket of one pair of processes: frames leave in the order of their classes, and come together from pieces.
+
+A socket of the kind SEQPACKET keeps packets apart. Each packet is one frame, or a piece of a large
+one, and tells when it was sent, by the clock of the machine, so that a frame ages while it waits for
+its reader.
+
+Frames for which the socket has no room wait here, in a queue for each class. Between whole frames
+the most urgent class goes first, as in Zenoh; the frames of one class stay in order.
+"""
+
+import socket
+import struct
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+from crazychoir.bus.frames import FRAME_FORMAT
+from crazychoir.bus.topics import MessageClass
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectionSizes:
+    """Sizes of the sockets between the processes of a host."""
+
+    buffer_size: int = 1 << 18
+    """Bytes that are asked for each direction of a connection.
+
+    Linux grants the double, or less. An urgent frame waits behind what is in the socket already, so
+    more is not better.
+    """
+    piece_size: int = 120 * 1024
+    """Bytes of the pieces of a large frame, at most; a socket with a small buffer gets smaller ones.
+
+    A read takes memory for the largest packet: below 128 KiB the system's allocator has it at hand,
+    while a megabyte costs each read 15 us.
+    """
+    most_waiting: int = 2 * FRAME_FORMAT.max_bytes
+    """Most bytes of frames of a class that may wait here until the socket has room."""
+
+
+CONNECTION_SIZES = ConnectionSizes()
+
+
+PACKET_HEAD: Final = struct.Struct("<BIQ")
+"""Start of a packet with a frame, or with a piece of one.
+
+It holds a mark, the place of the piece in the frame in bytes, and the time of sending in ns.
+"""
+LARGEST_PACKET: Final = PACKET_HEAD.size + CONNECTION_SIZES.piece_size
+"""Bytes of the largest packet."""
+PIECE_MARK: Final = 0xF0
+"""First byte of a packet with a piece of a frame that goes on."""
+LAST_PIECE_MARK: Final = 0xF1
+"""First byte of a packet with a whole frame, or with the last piece of one."""
+
+
+@dataclass(slots=True)
+class LeavingFrame:
+    """A frame on its way into the socket."""
+
+    content: bytes
+    """The frame."""
+    sent_ns: int
+    """ns: time of sending."""
+    start: int = 0
+    """Bytes that are in the socket."""
+
+    def cut_packet(self, size: int) -> bytes:
+        """Return the next packet, with at most `size` bytes of the frame."""
+        is_last = self.start + size >= len(self.content)
+        mark = LAST_PIECE_MARK if is_last else PIECE_MARK
+        head = PACKET_HEAD.pack(mark, self.start, self.sent_ns)
+        return head + self.content[self.start : self.start + size]
+
+
+class WaitingFrames:
+    """The frames of one class that wait until the socket has room.
+
+    keeps_newest: True if a frame drops the oldest ones for which there is no room with it; else the
+        frame itself is dropped
+    """
+
+    def __init__(self, keeps_newest: bool) -> None:
+        self._keeps_newest = keeps_newest
+        self._frames: deque[LeavingFrame] = deque()
+        self._size = 0
+
+    def __bool__(self) -> bool:
+        return bool(self._frames)
+
+    def add(self, frame: LeavingFrame) -> int:
+        """Add a frame, and return how many frames were dropped."""
+        room = CONNECTION_SIZES.most_waiting - len(frame.content)
+        dropped = 0
+        while self._frames and self._size > room:
+            dropped += 1
+            if not self._keeps_newest:
+                return dropped
+            self.take()
+        self._frames.append(frame)
+        self._size += len(frame.content)
+        return dropped
+
+    def take(self) -> LeavingFrame:
+        """Remove the oldest frame, and return it."""
+        frame = self._frames.popleft()
+        self._size -= len(frame.content)
+        return frame
+
+
+class LocalConnection:
+    """The socket of one pair of processes.
+
+    made: connected socket
+
+    Attributes:
+    process: name of the other process; empty until it is known
+    path: path of the other process, if this one has connected
+    """
+
+    def __init__(self, made: socket.socket) -> None:
+        made.setblocking(False)
+        for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+            made.setsockopt(socket.SOL_SOCKET, option, CONNECTION_SIZES.buffer_size)
+        granted = made.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF)
+        self.socket = made
+        self.process = ""
+        self.path = ""
+        # The system counts its own records too: a packet may have at most about half of the buffer.
+        self._piece_size = min(CONNECTION_SIZES.piece_size, granted // 4)
+        self._leaving: LeavingFrame | None = None
+        """The frame that waits for room; a part of it may be in the socket."""
+        self._waiting = {
+            klass: WaitingFrames(keeps_newest=klass is MessageClass.CONTROL)
+            for klass in sorted(MessageClass)
+        }
+        """The frames behind it, from the most urgent class on."""
+        self._pieces = bytearray()
+        """The pieces of a large frame that have arrived."""
+
+    # Sending --------------------------------------------------------------------------
+
+    @property
+    def is_full(self) -> bool:
+        """Whether frames wait until the socket has room."""
+        return self._leaving is not None
+
+    def send(self, klass: MessageClass, frame: bytes, now_ns: int) -> int:
+        """Send a frame, or let it wait; return how many frames were dropped.
+
+        now_ns: ns, time by the clock of the machine
+        Raises OSError if the connection is broken.
+        """
+        leaving = LeavingFrame(frame, now_ns)
+        if self._leaving is not None:
+            return self._waiting[klass].add(leaving)
+        self._leaving = leaving
+        self.send_waiting()
+        return 0
+
+    def send_waiting(self) -> None:
+        """Send the frames that wait, as many as have room. Raises OSError if the connection is broken."""
+        try:
+            while self._leaving is not None:
+                frame = self._leaving
+                packet = frame.cut_packet(self._piece_size)
+                self.socket.send(packet, socket.MSG_NOSIGNAL)
+                frame.start += self._piece_size
+                if frame.start >= len(frame.content):
+                    self._leaving = self._take_most_urgent()
+        except (BlockingIOError, InterruptedError):
+            return
+
+    def _take_most_urgent(self) -> LeavingFrame | None:
+        """Return the next frame to be sent, or None if no frame waits."""
+        for waiting in self._waiting.values():
+            if waiting:
+                return waiting.take()
+        return None
+
+    def drop_waiting(self) -> None:
+        """Drop all frames that wait."""
+        while self._leaving is not None:
+            self._leaving = self._take_most_urgent()
+
+    # Receiving ------------------------------------------------------------------------
+
+    def join_piece(self, packet: bytes) -> tuple[bytes, int] | None:
+        """Take a packet; return (frame, time of sending in ns) with the last piece of the frame.
+
+        Raises ValueError for a packet that is neither a frame nor a piece of one.
+        """
+        if packet[0] not in (PIECE_MARK, LAST_PIECE_MARK):
+            raise ValueError("no packet of a frame")
+        if len(packet) <= PACKET_HEAD.size:
+            raise ValueError("a packet without a content")
+        mark, start, sent_ns = PACKET_HEAD.unpack_from(packet)
+        content = packet[PACKET_HEAD.size :]
+        pieces = self._pieces
+        if start == 0:
+            pieces.clear()
+            if mark == LAST_PIECE_MARK:
+                return content, sent_ns
+        if start != len(pieces) or start > FRAME_FORMAT.max_bytes:
+            pieces.clear()  # a piece before this one is lost
+            return None
+        pieces += content
+        if mark == PIECE_MARK:
+            return None
+        frame = bytes(pieces)
+        pieces.clear()
+        return frame, sent_ns
