@@ -1,7 +1,8 @@
-"""`crazychoir bench exchange`: rounds a second of the exchange between neighbours.
+"""`crazychoir bench exchange`: rounds a second of the exchange between neighbours, and round trips.
 
-CycloneDDS and MPI are measured in the same run. Rows are measured in turns and repeated, so
-that other load of the machine affects all of them alike. The table shows medians.
+Plain sockets, Zenoh alone, ZeroMQ, CycloneDDS and MPI are measured in the same run: as many agents
+in as many processes, with the same payload. Rows are measured in turns and repeated, so that other
+load of the machine affects all of them alike. The tables show medians.
 """
 
 import os
@@ -9,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -18,6 +20,7 @@ from crazychoir.bench.harness import (
     fill_table,
     measure_in_turns,
 )
+from crazychoir.bench.round_trips import measure_trips, trip_table
 from crazychoir.errors import ConfigError
 
 USUAL_AGENTS: Final = (10, 30)
@@ -49,8 +52,9 @@ def run(
     repeats: number of windows of each row
     quick: rings only, one turn of short windows
     say: called with a text that says what is being measured
-    choice: teams to measure; None: the usual ones
+    choice: teams to measure; None: the usual ones, and round trips
     """
+    has_trips = choice is None
     choice = choice or ExchangeChoice()
     if quick:
         seconds = min(seconds, 0.5)
@@ -66,6 +70,7 @@ def run(
     shown = measure_in_turns(rows, seconds, repeats, say)
     return {
         "rows": shown,
+        "round_trips": measure_trips(seconds, repeats, say) if has_trips else [],
         "ratios": _ratios(shown),
         "cores": os.cpu_count(),
         "seconds": seconds,
@@ -73,12 +78,39 @@ def run(
     }
 
 
-def table(result: dict[str, Any]) -> Table:
-    """Return the rows as a table."""
+def run_trips(
+    seconds: float = 1.5,
+    repeats: int = 5,
+    quick: bool = False,
+    say: Callable[[str], None] = lambda text: None,
+) -> dict[str, Any]:
+    """Measure round trips alone; the arguments are those of `run`."""
+    if quick:
+        seconds = min(seconds, 0.5)
+        repeats = 1
+    return {
+        "rows": [],
+        "round_trips": measure_trips(seconds, repeats, say),
+        "cores": os.cpu_count(),
+        "seconds": seconds,
+        "repeats": repeats,
+    }
+
+
+def table(result: dict[str, Any]) -> RenderableType:
+    """Return the rows, and the round trips, as tables."""
+    tables = []
+    if result["rows"]:
+        tables.append(exchange_table(result["rows"]))
+    if result["round_trips"]:
+        tables.append(trip_table(result["round_trips"]))
+    return Group(*tables)
+
+
+def exchange_table(shown: list[dict[str, Any]]) -> Table:
+    """Return the rows of the exchange as a table."""
     made = Table(title="Neighbours' exchange: medians of one run")
-    rows = sorted(
-        result["rows"], key=lambda row: (row["graph"] != "ring", row["agents"])
-    )
+    rows = sorted(shown, key=lambda row: (row["graph"] != "ring", row["agents"]))
     notes = fill_table(made, rows, "graph")
     notes[
         "Of several processes, each is bound to a core of its own where there are enough."
@@ -103,6 +135,9 @@ def _list_programs(graph: str, agents: int, processes: int) -> list[ProgramRow]:
     team = (graph, agents, processes)
     rows = [ProgramRow("crazychoir", "crazychoir_peer", *team)]
     if processes > 1:
+        rows.append(ProgramRow("plain sockets", "socket_peer", *team))
+        rows.append(ProgramRow("zenoh", "zenoh_peer", *team))
+        rows.append(ProgramRow("pyzmq", "pyzmq_peer", *team, ("zmq",)))
         rows.append(ProgramRow("cyclonedds", "cyclonedds_peer", *team, ("cyclonedds",)))
     if processes == agents:
         mpi = ProgramRow("mpi4py-pickle", "mpi4py_peer", *team, ("mpi4py",))

@@ -21,6 +21,7 @@ from typing import Any
 from rich.table import Table
 
 from crazychoir.config.addresses import LOCAL_ADDRESS
+from crazychoir.files.private_folder import scratch_folder
 from crazychoir.launch.network import reserve_ports
 from crazychoir.solve.group import ProgramGroup
 from crazychoir.team.graph import Graph, k_regular, ring
@@ -123,16 +124,38 @@ def measure_in_turns(
     """
     for turn in range(repeats):
         for row in rows:
-            if any(importlib.util.find_spec(name) is None for name in row.packages):
-                row.note = NOT_INSTALLED_NOTE
-                continue
-            say(f"{turn + 1}/{repeats}: {row.describe()}")
-            measure(row, seconds)
+            if is_installed(row):
+                say(f"{turn + 1}/{repeats}: {row.describe()}")
+                measure(row, seconds)
     return [row.shown() for row in rows]
+
+
+def is_installed(row: ProgramRow) -> bool:
+    """Return whether the packages of a row are installed; if not, note it."""
+    if all(importlib.util.find_spec(name) is not None for name in row.packages):
+        return True
+    row.note = NOT_INSTALLED_NOTE
+    return False
 
 
 def measure(row: ProgramRow, seconds: float) -> None:
     """Measure one window of one row; an error becomes the note of the row."""
+    found = ask_row(row, seconds)
+    if not found:
+        return
+    row.rounds.append(min(one["rounds_per_s"] for one in found))
+    messages = sum(one["messages_per_s"] for one in found)
+    if messages:
+        row.cpu.append(1e6 * sum(one["cores"] for one in found) / messages)
+        if all("resent_per_s" in one for one in found):
+            row.resent.append(sum(one["resent_per_s"] for one in found) / messages)
+
+
+def ask_row(row: ProgramRow, seconds: float) -> list[dict[str, Any]]:
+    """Run the processes of a row for one window, and return their answers.
+
+    An error becomes the note of the row; then there are no answers.
+    """
     graph = BENCH_GRAPHS[row.graph](row.agents)
     common = {
         "neighbors": {i: graph.in_neighbors(i) for i in range(row.agents)},
@@ -144,22 +167,19 @@ def measure(row: ProgramRow, seconds: float) -> None:
     answers = row.agents if row.has_ranks else row.processes
     patience = EXCHANGE_WARM_UP + seconds + ANSWER_PATIENCE
     try:
-        with reserve_ports(dict.fromkeys(range(row.processes), LOCAL_ADDRESS)) as base:
+        with (
+            reserve_ports(dict.fromkeys(range(row.processes), LOCAL_ADDRESS)) as base,
+            scratch_folder("crazychoir-bench-") as folder,
+        ):
             commands = (
                 _mpi_command(row, common)
                 if row.has_ranks
-                else _commands(row, common, base)
+                else _commands(row, {**common, "folder": str(folder)}, base)
             )
-            found = ask_peers(commands, answers, START_DEADLINE, patience).answers
+            return ask_peers(commands, answers, START_DEADLINE, patience).answers
     except (TimeoutError, OSError) as error:
         row.note = f"failed: {error}"
-        return
-    row.rounds.append(min(one["rounds_per_s"] for one in found))
-    messages = sum(one["messages_per_s"] for one in found)
-    if messages:
-        row.cpu.append(1e6 * sum(one["cores"] for one in found) / messages)
-        if all("resent_per_s" in one for one in found):
-            row.resent.append(sum(one["resent_per_s"] for one in found) / messages)
+        return []
 
 
 def ask_peers(
@@ -249,12 +269,13 @@ def _commands(row: ProgramRow, common: dict[str, Any], base: int) -> list[list[s
     endpoints = [f"tcp/{LOCAL_ADDRESS}:{base + p}" for p in range(row.processes)]
     domain = 1 + secrets.randbelow(100)  # the ports of higher domains may be in use
     cores = sorted(os.sched_getaffinity(0))
+    shares = [share_agents(row.agents, row.processes, p) for p in range(row.processes)]
     commands = []
-    for p in range(row.processes):
-        mine = share_agents(row.agents, row.processes, p)
+    for p, mine in enumerate(shares):
         others = [endpoint for q, endpoint in enumerate(endpoints) if q != p]
         own: dict[str, Any] = {"mine": mine, "process": f"{p}-{common['swarm']}"}
         own |= {"listen": [endpoints[p]], "connect": others}
+        own |= {"number": p, "shares": shares}
         if 1 < row.processes <= len(cores):
             own["core"] = cores[p]
         commands.append(peer_command(row.module, {**common, **own, "domain": domain}))

@@ -28,6 +28,7 @@ from rich.text import Text
 
 from crazychoir.bench.harness import ask_peers, peer_command, share_agents
 from crazychoir.config.addresses import LOCAL_ADDRESS
+from crazychoir.errors import ConfigError
 from crazychoir.launch.namespaces import SwitchedNamespaces, make_switched_namespaces
 from crazychoir.launch.network import reserve_ports
 from crazychoir.team.graph import k_regular
@@ -43,6 +44,8 @@ class ScaleBenchSettings:
     """Numbers of processes."""
     degree: int = 4
     """Neighbours of each agent."""
+    agents_per_process: int = 5
+    """Least agents of a process, if there are several processes."""
     start_deadline: float = 120.0
     """Seconds until all processes must have found each other."""
     warm_up_time: float = 0.5
@@ -138,8 +141,44 @@ class FittedModel:
     """Largest error in these cells; None if there are too few."""
 
 
+@dataclass(frozen=True, slots=True)
+class ScaleChoice:
+    """The cells to measure; an empty field stands for all of the usual ones."""
+
+    agents: tuple[int, ...] = ()
+    """Numbers of agents."""
+    processes: tuple[int, ...] = ()
+    """Numbers of processes; those with too few agents are left out."""
+
+
+def choose_cells(quick: bool, choice: ScaleChoice) -> list[tuple[int, int]]:
+    """Return the pairs of agents and processes to measure.
+
+    quick: fewer pairs
+    Raises ConfigError if no pair has enough agents for its processes.
+    """
+    usual = QUICK_RUN_CELLS if quick else (SCALE_BENCH.agents, SCALE_BENCH.processes)
+    cells = [
+        (n, p)
+        for n in dict.fromkeys(choice.agents or usual[0])
+        for p in dict.fromkeys(choice.processes or usual[1])
+        if p == 1 or n >= SCALE_BENCH.agents_per_process * p
+    ]
+    if not cells:
+        raise ConfigError(
+            "bench scale",
+            f"processes {choice.processes}, agents {choice.agents}",
+            f"at least {SCALE_BENCH.agents_per_process} agents a process",
+        )
+    return cells
+
+
 def run(
-    quick: bool, namespaces: bool, repeats: int, say: Callable[[str], None]
+    quick: bool,
+    namespaces: bool,
+    repeats: int,
+    say: Callable[[str], None],
+    choice: ScaleChoice | None = None,
 ) -> dict[str, Any]:
     """Measure all cells, pairs of agents and processes, and fit the model of the cost.
 
@@ -147,43 +186,34 @@ def run(
     namespaces: whether each process has its own network namespace
     repeats: measurements of each cell; its figures are medians
     say: called with a text that says what is being measured
+    choice: the cells, without a model; None: the usual ones
     Returns the object that `crazychoir bench scale --json` prints.
     """
-    agents, processes = (
-        QUICK_RUN_CELLS if quick else (SCALE_BENCH.agents, SCALE_BENCH.processes)
-    )
     cells = []
     count = 1 if quick else repeats
-    for n in agents:
-        for p in processes:
-            if p > 1 and n < 5 * p:
-                continue
-            turns = []
-            for k in range(count):
-                say(f"{n} agents in {p} process(es), {k + 1} of {count}")
-                turns.append(measure(n, p, 1.0 if quick else 3.0, namespaces))
-            rows = [asdict(turn) for turn in turns]
-            cells.append(
-                ScaleCell(
-                    **{
-                        key: statistics.median(row[key] for row in rows)
-                        for key in rows[0]
-                    }
-                    | {
-                        "agents": n,
-                        "processes": p,
-                        "threads": rows[0]["threads"],
-                    }
-                )
-            )
-    fits = {name: fit_model(name, cells) for name in MODEL_TERMS}
+    for n, p in choose_cells(quick, choice or ScaleChoice()):
+        turns = []
+        for k in range(count):
+            say(f"{n} agents in {p} process(es), {k + 1} of {count}")
+            turns.append(measure(n, p, 1.0 if quick else 3.0, namespaces))
+        cells.append(_median_cell(turns))
+    names = () if choice else MODEL_TERMS
+    fits = {name: fit_model(name, cells) for name in names}
     return {
         "cells": [asdict(cell) for cell in cells],
         "fits": {name: asdict(one) for name, one in fits.items()},
-        "needs": estimate_hosts(fits),
+        "needs": estimate_hosts(fits) if fits else [],
         "namespaces": namespaces,
         "repeats": count,
     }
+
+
+def _median_cell(turns: list[ScaleCell]) -> ScaleCell:
+    """Return the medians of several measurements of one cell."""
+    rows = [asdict(turn) for turn in turns]
+    medians = {key: statistics.median(row[key] for row in rows) for key in rows[0]}
+    whole = {key: rows[0][key] for key in ("agents", "processes", "threads")}
+    return ScaleCell(**medians | whole)
 
 
 # One measurement ----------------------------------------------------------------------------------------------------
@@ -395,7 +425,7 @@ def format_share(error: float | None) -> str:
 
 
 def table(result: dict[str, Any]) -> RenderableType:
-    """Return the cells, the model and its estimate as tables."""
+    """Return the cells, the model and its estimate, if there is one, as tables."""
     columns = (
         "agents",
         "proc",
@@ -425,6 +455,13 @@ def table(result: dict[str, Any]) -> RenderableType:
             f"{cell.start:.1f}",
             str(cell.threads),
         )
+    where = "a network namespace each" if result["namespaces"] else "one network"
+    measured: list[RenderableType] = [
+        cells,
+        Text(f"{where}; medians of {result['repeats']}"),
+    ]
+    if not result["fits"]:
+        return Lines(*measured)
     fits = Table(
         "model of", "coefficients", "off", "worst", "left out", "worst", title="Fitted"
     )
@@ -461,5 +498,4 @@ def table(result: dict[str, Any]) -> RenderableType:
             f"{8e-6 * row['bytes_a_host']:.1f}",
             f"{row['start']:.0f}",
         )
-    where = "a network namespace each" if result["namespaces"] else "one network"
-    return Lines(cells, Text(f"{where}; medians of {result['repeats']}"), fits, more)
+    return Lines(*measured, fits, more)

@@ -8,6 +8,7 @@ from rich.console import Console
 
 from crazychoir.bench import scale as bench_scale
 from crazychoir.bench.scale import ScaleCell
+from crazychoir.errors import ConfigError
 
 pytestmark = pytest.mark.system
 
@@ -84,6 +85,23 @@ def test_what_more_agents_need_is_what_the_model_says():
     assert each["memory_a_host"] == pytest.approx(
         8 * 3e7 + 100 * 2e4 + 8 * 799 * 5e5, rel=1e-3
     )
+
+
+def test_a_choice_replaces_the_cells():
+    choice = bench_scale.ScaleChoice((10, 40), (1, 3))
+    assert bench_scale.choose_cells(False, choice) == [(10, 1), (40, 1), (40, 3)]
+    with pytest.raises(ConfigError, match="at least 5 agents a process"):
+        bench_scale.choose_cells(True, bench_scale.ScaleChoice((10,), (3,)))
+
+
+def test_a_choice_leaves_out_the_model(monkeypatch):
+    monkeypatch.setattr(bench_scale, "measure", lambda n, p, *settings: cell(n, p))
+    choice = bench_scale.ScaleChoice((10,), (1,))
+    result = bench_scale.run(True, False, 1, lambda text: None, choice)
+    assert (len(result["cells"]), result["fits"], result["needs"]) == (1, {}, [])
+    console = Console(width=100, record=True, file=io.StringIO())
+    console.print(bench_scale.table(result))
+    assert "model of" not in console.export_text()
 
 
 @pytest.mark.slow

@@ -8,11 +8,13 @@ import asyncio
 import dataclasses
 import importlib
 import os
+import time
 import types
 from collections import deque
 from typing import Any
 
 from crazychoir.bench.peers.peers import report, say, specification, wait_for_go
+from crazychoir.bench.peers.round_inbox import RoundInbox
 
 CYCLONEDDS_SETTINGS = """<CycloneDDS><Domain>
 <General><Interfaces><NetworkInterface name='lo' multicast='false'/></Interfaces>
@@ -39,37 +41,6 @@ def state_type() -> type[Any]:
     return dataclasses.dataclass(made)
 
 
-class Inbox:
-    """The messages of one agent, by round."""
-
-    def __init__(self, loop: asyncio.AbstractEventLoop, size: int) -> None:
-        self.loop = loop
-        self.size = size
-        self.k = -1
-        self.rounds: dict[int, dict[int, Any]] = {}
-        self.waiter: asyncio.Future[None] | None = None
-
-    def put(self, message: Any) -> None:
-        """Store a message, and wake the reader if the round is complete."""
-        box = self.rounds.setdefault(message.k, {})
-        box[message.source] = message
-        if (
-            message.k == self.k
-            and len(box) == self.size
-            and self.waiter is not None
-            and not self.waiter.done()
-        ):
-            self.waiter.set_result(None)
-
-    async def get(self, k: int) -> dict[int, Any]:
-        """Wait for all messages of round k and return them."""
-        self.k = k
-        if len(self.rounds.setdefault(k, {})) < self.size:
-            self.waiter = self.loop.create_future()
-            await self.waiter
-        return self.rounds.pop(k)
-
-
 class Participant:
     """The agents of one process in one domain."""
 
@@ -77,9 +48,9 @@ class Participant:
         self.spec = spec
         self.loop = loop
         self.type = state_type()
-        self.queue: deque[tuple[Inbox, Any]] = deque()
+        self.queue: deque[tuple[RoundInbox, Any]] = deque()
         self.armed = False
-        self.inboxes = {i: Inbox(loop, len(spec["neighbors"][i])) for i in spec["mine"]}
+        self.inboxes = {i: RoundInbox(len(spec["neighbors"][i])) for i in spec["mine"]}
         self._join()
 
     def _join(self) -> None:
@@ -111,7 +82,7 @@ class Participant:
         topics = importlib.import_module("cyclonedds.topic")
         return topics.Topic(self.participant, f"{self.spec['swarm']}_{i}", self.type)
 
-    def _listener(self, core: Any, inbox: Inbox) -> Any:
+    def _listener(self, core: Any, inbox: RoundInbox) -> Any:
         def on_data_available(listener: Any, reader: Any) -> None:
             self.queue.extend((inbox, message) for message in reader.take(N=32))
             if not self.armed:
@@ -126,7 +97,16 @@ class Participant:
         self.armed = False
         for _ in range(len(self.queue)):
             inbox, message = self.queue.popleft()
-            inbox.put(message)
+            inbox.put(message.source, message.k)
+
+    def make_message(self, i: int, k: int) -> Any:
+        """Return the message of an agent in round k."""
+        return self.type(source=i, k=k, x=[0.0] * 6)
+
+    def wait_until_matched(self) -> None:
+        """Block until all our readers and writers have found their partners."""
+        while not self.matched():
+            time.sleep(0.05)
 
     def matched(self) -> bool:
         """Return whether all our readers and writers have found their partners."""
@@ -143,9 +123,8 @@ class Participant:
         """Exchange for ever."""
         writer = self.writers[i]
         inbox = self.inboxes[i]
-        x = [0.0] * 6
         while True:
-            writer.write(self.type(source=i, k=rounds[i], x=x))
+            writer.write(self.make_message(i, rounds[i]))
             await inbox.get(rounds[i])
             rounds[i] += 1
 
@@ -155,13 +134,7 @@ async def main() -> None:
     spec = specification()
     participant = Participant(spec, asyncio.get_running_loop())
     rounds = dict.fromkeys(spec["mine"], 0)
-    pause = asyncio.Event()
-    while not participant.matched():
-        try:
-            async with asyncio.timeout(0.05):
-                await pause.wait()
-        except TimeoutError:
-            continue
+    participant.wait_until_matched()
     say({"ready": True})
     await asyncio.to_thread(wait_for_go)
     report(rounds, spec)

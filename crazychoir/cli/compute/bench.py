@@ -63,22 +63,31 @@ def exchange(
         ExchangeGraph | None,
         typer.Option(help="Graph of the team. Without it: both."),
     ] = None,
+    round_trips: Annotated[
+        bool,
+        typer.Option("--round-trips", help="Round trips alone, and no exchange."),
+    ] = False,
 ) -> None:
-    """Measure rounds a second of the exchange between neighbours, beside CycloneDDS and MPI.
+    """Measure rounds a second of the exchange between neighbours, and round trips of 64 bytes.
 
-    Also shows the processor's time of a message, and the share of messages that were
-    sent again.
+    Plain sockets, Zenoh alone, ZeroMQ, CycloneDDS and MPI run beside it, with as many processes
+    and the same payload. Also shows the processor's time of a message, and the share of messages
+    that were sent again. A choice of agents, processes or a graph leaves out the round trips.
     """
     from crazychoir.bench import exchange as bench_exchange
 
-    choice = bench_exchange.ExchangeChoice(
-        tuple(agents or ()), tuple(processes or ()), (graph,) if graph else ()
-    )
-    _show(
-        lambda say: bench_exchange.run(quick=quick, say=say, choice=choice),
-        bench_exchange.table,
-        as_json,
-    )
+    choice = None
+    if agents or processes or graph:
+        choice = bench_exchange.ExchangeChoice(
+            tuple(agents or ()), tuple(processes or ()), (graph,) if graph else ()
+        )
+
+    def measure(say: Say) -> dict[str, Any]:
+        if round_trips:
+            return bench_exchange.run_trips(quick=quick, say=say)
+        return bench_exchange.run(quick=quick, say=say, choice=choice)
+
+    _show(measure, bench_exchange.table, as_json)
 
 
 @app.command()
@@ -94,15 +103,32 @@ def scale(
     repeats: Annotated[
         int, options.whole("Repetitions; each figure is their median.")
     ] = 3,
+    agents: Annotated[
+        list[int] | None,
+        options.whole(
+            "Number of agents; several times for several rows. Without it: 10 to 1000.",
+            least=5,
+        ),
+    ] = None,
+    processes: Annotated[
+        list[int] | None,
+        options.whole(
+            "Number of processes; several times for several rows. Without it: 1 to 8."
+        ),
+    ] = None,
 ) -> None:
     """Measure the cost of 10 to 1000 agents in 1 to 8 processes.
 
-    A model of the cost then says what 10 000 agents on 100 hosts need.
+    Each agent has four neighbours, and each process five agents or more. A model of the cost then
+    says what 10 000 agents on 100 hosts need; a choice of agents or processes leaves it out.
     """
     from crazychoir.bench import scale as bench_scale
 
+    choice = None
+    if agents or processes:
+        choice = bench_scale.ScaleChoice(tuple(agents or ()), tuple(processes or ()))
     _show(
-        lambda say: bench_scale.run(quick, namespaces, repeats, say),
+        lambda say: bench_scale.run(quick, namespaces, repeats, say, choice),
         bench_scale.table,
         as_json,
     )

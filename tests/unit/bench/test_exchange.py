@@ -18,6 +18,7 @@ def measured(monkeypatch):
         return [row.shown() for row in chosen]
 
     monkeypatch.setattr(exchange, "measure_in_turns", measure_in_turns)
+    monkeypatch.setattr(exchange, "measure_trips", lambda *settings: ["a trip"])
     return rows
 
 
@@ -39,12 +40,10 @@ def test_the_usual_rows_divide_two_teams_on_both_graphs(measured):
 def test_a_choice_replaces_the_rows(measured):
     exchange.run(choice=ExchangeChoice((12,), (3, 12), ("ring",)))
     assert list_teams(measured) == {
-        ("crazychoir", "ring", 12, 3),
-        ("cyclonedds", "ring", 12, 3),
-        ("crazychoir", "ring", 12, 12),
-        ("cyclonedds", "ring", 12, 12),
-        ("mpi4py-pickle", "ring", 12, 12),
-    }
+        (name, "ring", 12, processes)
+        for name in ("crazychoir", "plain sockets", "zenoh", "pyzmq", "cyclonedds")
+        for processes in (3, 12)
+    } | {("mpi4py-pickle", "ring", 12, 12)}
 
 
 def test_more_processes_than_agents_are_refused(measured):
@@ -58,5 +57,18 @@ def test_the_table_shows_what_was_sent_again():
     row.resent.extend([0.01, 0.02, 0.5])
     shown = row.shown()
     assert shown["resent_per_message"] == 0.02
-    table = exchange.table({"rows": [shown]})
+    table = exchange.exchange_table([shown])
     assert list(table.columns[-1].cells) == ["2.0%"]
+
+
+def test_a_choice_leaves_out_the_round_trips(measured):
+    assert exchange.run()["round_trips"] == ["a trip"]
+    chosen = exchange.run(choice=ExchangeChoice((12,)))
+    assert chosen["round_trips"] == []
+    assert exchange.run_trips() | {"cores": 0} == {
+        "rows": [],
+        "round_trips": ["a trip"],
+        "cores": 0,
+        "seconds": 1.5,
+        "repeats": 5,
+    }
