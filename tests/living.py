@@ -6,10 +6,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from campaign.hosts import hosts
+from message_parts import taking_parts
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.runtime.clock import Clock, run_virtual
@@ -63,7 +65,7 @@ class Team:
             **options,
         )
         communicator = Communicator(port, self.sequence or self.graph)
-        communicator.follow(barrier)
+        communicator.exchange.follow(barrier)
         member = self.members[i] = Member(barrier, communicator)
         self.run(i, barrier.monitor.run())
         assert member.barrier is barrier
@@ -196,7 +198,9 @@ class Alone:
         self.numbers = dict.fromkeys(t.graph.ids, 0)
         for j in t.graph.ids:
             if j != i:
-                t.bus.port(j).handlers[MESSAGE_TOPICS.roster.number] = self._keep(j)
+                t.bus.port(j).handlers[MESSAGE_TOPICS.roster.number] = taking_parts(
+                    self._keep(j)
+                )
         self.roster = Roster(1, members, [], False, 0, 0, "abc", "1")
         self.barrier.rosters.adopt(self.roster)
 
@@ -221,24 +225,16 @@ class Alone:
             "abc",
             held_for=held_for,
         )
-        self.port.deliver(
-            MESSAGE_TOPICS.heartbeat.number,
-            j,
-            encode(beat.wire()),
-            1,
-            "heartbeat",
-            0,
+        self.port.bus.deliver(
+            Message(MESSAGE_TOPICS.heartbeat, j, encode(beat.wire()), 1, "heartbeat"),
+            (self.port.address,),
             0.0,
         )
 
     def tell(self, j: int, message: RosterMessage) -> None:
-        self.port.deliver(
-            MESSAGE_TOPICS.roster.number,
-            j,
-            message.wire(),
-            self.numbers[j],
-            "1",
-            0,
+        self.port.bus.deliver(
+            Message(MESSAGE_TOPICS.roster, j, message.wire(), self.numbers[j], "1"),
+            (self.port.address,),
             0.0,
         )
         self.numbers[j] += 1

@@ -100,7 +100,7 @@ def build_drone(
         lost_after=config.lost_after,
     )
     communicator = Communicator(port, shared.graph)
-    communicator.follow(barrier)
+    communicator.exchange.follow(barrier)
     barrier.listeners.append(partial(_tell_apart, barrier))
     pilot = _build_pilot(config, port, shared, remote)
     radio_watch = pilot.body.watch if isinstance(pilot.body, RadioBody) else None

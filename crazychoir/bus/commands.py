@@ -10,7 +10,8 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
 from typing import Any
 
-from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.codec import encode
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import Port
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import CodecError, ConfigError, Refused, error_text
@@ -120,15 +121,14 @@ class Commander:
                 attempt = 0
                 while not future.done():
                     body = encode([verb, arguments, ends - clock.now()])
-                    self.port.send(
+                    request = Message(
                         MESSAGE_TOPICS.request,
-                        (target,),
+                        self.port.address,
                         body,
                         number,
                         f"{self.port.incarnation:x}",
-                        0,
-                        attempt,
                     )
+                    self.port.send(request, (target,), attempt)
                     attempt += 1
                     await asyncio.wait(
                         [future],
@@ -175,35 +175,30 @@ class Commander:
                 if clock.now() > ends:
                     break
                 body = encode(STOP_ALONE if alone else clear)
-                self.port.send(
+                stop = Message(
                     MESSAGE_TOPICS.emergency_stop,
-                    tuple(missing),
+                    self.port.address,
                     body,
                     number,
                     f"{self.port.incarnation:x}",
                 )
+                self.port.send(stop, missing)
                 await clock.sleep(REQUEST_RULES.resend_interval)
             return missing
         finally:
             del self._acknowledged[number]
 
-    def _answered(
-        self,
-        source: int,
-        payload: bytes,
-        number: int,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
+    def _answered(self, message: Message, age: float) -> None:
         """Take an answer to a request, or the acknowledgement of a stop."""
-        if channel != f"{self.port.incarnation:x}":
+        source = message.source
+        number = message.number
+        if message.channel != f"{self.port.incarnation:x}":
             return
         if number in self._acknowledged:
             self._acknowledged[number][source] = None
         target, future = self._waiting.get(number, (source, None))
         try:
-            kind, detail = decode(payload)
+            kind, detail = message.open()
         except (CodecError, TypeError, ValueError):
             self.port.counters.malformed += 1
             return
@@ -243,18 +238,13 @@ class CommandServer:
         port.handlers[MESSAGE_TOPICS.request.number] = self._requested
         port.handlers[MESSAGE_TOPICS.emergency_stop.number] = self._stopped
 
-    def _requested(
-        self,
-        source: int,
-        payload: bytes,
-        number: int,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
+    def _requested(self, message: Message, age: float) -> None:
         """Take a request: repeat its answer if it is known, else
         execute it if it is valid and in time.
         """
+        source = message.source
+        number = message.number
+        channel = message.channel
         key = (source, channel, number)
         if key in self._answers:
             self._send(key, self._answers[key])
@@ -266,7 +256,7 @@ class CommandServer:
             self._send(key, _OUTDATED_ANSWER)
             return
         try:
-            verb, arguments, remaining = decode(payload)
+            verb, arguments, remaining = message.open()
             late = float(remaining) <= age
             known = isinstance(verb, str) and isinstance(arguments, dict)
         except (CodecError, TypeError, ValueError):
@@ -313,17 +303,12 @@ class CommandServer:
 
     def _send(self, key: _Key, payload: bytes) -> None:
         source, channel, number = key
-        self.port.send(MESSAGE_TOPICS.answer, (source,), payload, number, channel)
+        answer = Message(
+            MESSAGE_TOPICS.answer, self.port.address, payload, number, channel
+        )
+        self.port.send(answer, (source,))
 
-    def _stopped(
-        self,
-        source: int,
-        payload: bytes,
-        number: int,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
+    def _stopped(self, message: Message, age: float) -> None:
         """Handle a stop or a clear.
 
         A late or repeated message is acknowledged, but does not undo a later order. The numbers of
@@ -331,9 +316,12 @@ class CommandServer:
         stop after a newer clear. A stop after a newer stop does count, because one may be for the
         swarm and the other for its targets only.
         """
+        source = message.source
+        number = message.number
+        channel = message.channel
         key = (source, channel, number)
         try:
-            said = decode(payload)
+            said = message.open()
         except CodecError:
             said = None
         clear = said is True

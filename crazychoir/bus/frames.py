@@ -6,7 +6,7 @@ The module has no clock and no session. Every limit is checked before memory is 
 """
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Final
 
 import msgspec
 from msgspec import Meta
@@ -36,6 +36,12 @@ class FrameFormat:
 
 
 FRAME_FORMAT = FrameFormat()
+DESTINATION_SIZE: Final = 9
+"""Bytes of a destination of an envelope, at most."""
+LETTER_SIZE: Final = 4
+"""Bytes of a character in the name of a channel, at most."""
+HEADER_SIZE: Final = 61
+"""Bytes of the rest of an envelope without its payload, at most."""
 
 
 _Small = Annotated[int, Meta(ge=0, lt=1 << 16)]
@@ -146,6 +152,8 @@ class FrameBuffer:
         self.conflated = 0
         self._room = limit - 4 * len(process) - 32
         self._total = 0
+        self._channel = ""
+        """Name of the last channel, which is acceptable."""
         self._envelopes: list[Envelope] = []
         self._places: dict[tuple[int, int, tuple[int, ...], str], int] = {}
 
@@ -156,12 +164,27 @@ class FrameBuffer:
         """Add an envelope; raise CodecError if no frame can hold
         it, or if the receiver would refuse it.
         """
-        size = _bound_size(envelope)
-        if size > self._room or not _is_acceptable(envelope):
+        channel = envelope.channel
+        to = envelope.to
+        size = (
+            len(envelope.payload)
+            + DESTINATION_SIZE * len(to)
+            + LETTER_SIZE * len(channel)
+            + HEADER_SIZE
+        )
+        if channel != self._channel:
+            if not _is_acceptable_name(channel):
+                raise self._refusal(envelope, size)
+            self._channel = channel
+        if (
+            size > self._room
+            or len(to) > FRAME_FORMAT.max_destinations
+            or not 0.0 <= envelope.age <= FRAME_FORMAT.max_age
+        ):
             raise self._refusal(envelope, size)
         self._total += size
         if self.conflate:
-            key = (envelope.topic, envelope.source, envelope.to, envelope.channel)
+            key = (envelope.topic, envelope.source, to, channel)
             place = self._places.setdefault(key, len(self._envelopes))
             if place < len(self._envelopes):
                 self._envelopes[place] = envelope
@@ -176,11 +199,9 @@ class FrameBuffer:
         self._envelopes = []
         self._total = 0
         self._places.clear()
-        fits = total <= self._room and 0 < len(envelopes) <= FRAME_FORMAT.max_envelopes
-        return [
-            self._frame(part)
-            for part in ([envelopes] if fits else self._parts(envelopes))
-        ]
+        if total <= self._room and 0 < len(envelopes) <= FRAME_FORMAT.max_envelopes:
+            return [self._frame(envelopes)]
+        return [self._frame(part) for part in self._parts(envelopes)]
 
     def _refusal(self, envelope: Envelope, size: int) -> CodecError:
         return CodecError(
@@ -200,7 +221,12 @@ class FrameBuffer:
         parts: list[list[Envelope]] = []
         room = -1
         for envelope in envelopes:
-            size = _bound_size(envelope)
+            size = (
+                len(envelope.payload)
+                + DESTINATION_SIZE * len(envelope.to)
+                + LETTER_SIZE * len(envelope.channel)
+                + HEADER_SIZE
+            )
             if size > room or len(parts[-1]) == FRAME_FORMAT.max_envelopes:
                 parts.append([])
                 room = self._room
@@ -209,22 +235,13 @@ class FrameBuffer:
         return parts
 
 
-def _is_acceptable(envelope: Envelope) -> bool:
-    """Return True if the receiver accepts the fields that a sender can get wrong."""
-    name = envelope.channel
-    text = name.isascii() or not any("\ud800" <= letter <= "\udfff" for letter in name)
-    short = (
-        len(name) <= FRAME_FORMAT.max_name_length
-        and len(envelope.to) <= FRAME_FORMAT.max_destinations
+def _is_acceptable_name(channel: str) -> bool:
+    """Return True if the receiver accepts the name of a channel."""
+    if len(channel) > FRAME_FORMAT.max_name_length:
+        return False
+    return channel.isascii() or not any(
+        "\ud800" <= letter <= "\udfff" for letter in channel
     )
-    return text and short and 0.0 <= envelope.age <= FRAME_FORMAT.max_age
-
-
-def _bound_size(envelope: Envelope) -> int:
-    """Return an upper bound for the bytes of an envelope: 9 a
-    number, 4 a character, 5 for each of three heads.
-    """
-    return len(envelope.payload) + 9 * len(envelope.to) + 4 * len(envelope.channel) + 61
 
 
 _FRAME_HEAD = bytes([FRAME_FORMAT.version])

@@ -5,24 +5,24 @@ too. Actors of one drone pass frozen values by reference. Messages for other pro
 `Forwarder`.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 from crazychoir.bus.clock_offset import OffsetEstimate
-from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.codec import encode
 from crazychoir.bus.impairment.model import (
     LOST_MESSAGE,
     UNDELAYED_MESSAGE,
     Impairment,
     MessageFate,
 )
+from crazychoir.bus.message import Message
 from crazychoir.bus.topics import (
     MESSAGE_TOPICS,
     REQUESTED_TOPICS,
     TOPIC_BY_NAME,
-    TOPIC_BY_NUMBER,
     MessageClass,
     Topic,
 )
@@ -30,7 +30,6 @@ from crazychoir.errors import CodecError
 from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority, Clock
 from crazychoir.runtime.mailbox import AnyMailbox
 from crazychoir.runtime.shared_ticks import SharedTicks
-from crazychoir.types import Wire
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +53,8 @@ class PortAddresses:
 
 
 PORT_ADDRESSES = PortAddresses()
+FIRST_OBSERVER: Final = PORT_ADDRESSES.first_observer
+"""`PORT_ADDRESSES.first_observer` for code that runs for each message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,29 +72,20 @@ class ReaderTiming:
 READER_RATES = ReaderTiming()
 
 
-Handler = Callable[[int, bytes, int, str, int, float], None]
-"""Callable that gets (source, payload, number, channel, flags, age)."""
-Tap = Callable[[int, int, int, int, bytes, str, int, float], None]
-"""Callable that gets (destination, topic, source, number, payload,
-channel, flags, age) of each arriving message.
-"""
+Handler = Callable[[Message, float], None]
+"""Callable that gets (message, its age in s)."""
+Tap = Callable[[int, Message, float], None]
+"""Callable that gets (address of the receiver, message, its age in s) of each arriving message."""
 
 
 class Forwarder(Protocol):
     """The way to other processes."""
 
-    def forward(
-        self,
-        topic: Topic,
-        source: int,
-        to: list[int],
-        payload: bytes,
-        number: int,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
-        """Take a message for ports in other processes."""
+    def forward(self, message: Message, to: list[int], age: float) -> None:
+        """Take a message for ports in other processes.
+
+        age: s, its age
+        """
 
     def then(self, work: Callable[[], None]) -> None:
         """Call `work` when all messages forwarded in this pass of the event loop have left."""
@@ -276,6 +268,7 @@ class Bus:
         host: str = "local",
     ) -> None:
         self.clock = clock
+        self._now_ns = clock.now_ns
         self.impairment = impairment or Impairment(0)
         self.process = process
         self.host = host
@@ -289,7 +282,6 @@ class Bus:
         self.heartbeat_ticks = SharedTicks(clock, MESSAGE_TOPICS.heartbeat.rate)
         self._readers: dict[int, dict[int, Readers]] = {}
         self._read_addresses: dict[int, tuple[int, ...]] = {}
-        self._opened: tuple[bytes | None, Any] = (None, None)
 
     def port(self, address: int, incarnation: int = 1) -> "Port":
         """Open the port of a drone or an observer.
@@ -310,24 +302,37 @@ class Bus:
         """Close a port: its messages are lost from now on, as if its drone had crashed."""
         self.ports.pop(address, None)
 
-    def open(self, topic: int, payload: bytes) -> Any:
-        """Return the value of a payload of this topic.
+    def deliver(self, message: Message, to: Iterable[int], age: float) -> None:
+        """Deliver a message that has arrived, also at ports of other processes.
 
-        All readers share the frozen value, so it is decoded once.
-        Raises CodecError for invalid bytes or a wrong type.
+        age: s, its age
         """
-        opened, value = self._opened
-        if payload is opened:
-            return value
-        value = decode(payload)
-        row = TOPIC_BY_NUMBER[topic]
-        if row.type is not None and not isinstance(value, row.type):
-            raise CodecError(
-                f"{row.name}: found a {type(value).__name__}; allowed: {row.allowed}."
-            )
-        if isinstance(value, Wire):
-            self._opened = payload, value
-        return value
+        ports = self.ports
+        tap = self.tap
+        source = message.source
+        topic = message.topic.number
+        now_ns = self._now_ns()
+        for j in to:
+            port = ports.get(j)
+            if port is None:
+                self._forward(message, j, age)
+                continue
+            port.counters.received += 1
+            if tap is not None:
+                tap(j, message, age)
+            port.heard_ns[source] = now_ns
+            handler = port.handlers.get(topic)
+            if handler is not None:
+                handler(message, age)
+            else:
+                port.fill_mailboxes(message, age)
+
+    def _forward(self, message: Message, j: int, age: float) -> None:
+        """Send to a port of another process."""
+        if self.forwarder is None:
+            self.unroutable += 1
+        else:
+            self.forwarder.forward(message, [j], age)
 
     def drones(self) -> list[int]:
         """Return the ids of the drones of this process."""
@@ -436,84 +441,99 @@ class Port:
 
     def send(
         self,
-        topic: Topic,
+        message: Message,
         to: Sequence[int],
-        payload: bytes,
-        number: int = 0,
-        channel: str = "",
-        flags: int = 0,
         attempt: int = 0,
         age: float = 0.0,
     ) -> None:
-        """Send to each address of `to`, in any process.
+        """Send a message to each address of `to`, in any process.
 
         Messages between drones pass the simulated network.
+        attempt: number of this repeat of the message
+        age: s, age of its content
         """
         bus = self.bus
-        ports = self.bus.ports
-        sent = 0
-        impaired = topic.impaired and bus.impairment.active
+        topic = message.topic
         if bus.forwarder is not None:
-            # Messages to other processes go first: those work while we go on.
-            far = []
-            # A loop is faster here: a comprehension makes a function for each message.
-            for j in to:
-                if j not in ports and not (
-                    impaired and j < PORT_ADDRESSES.first_observer
-                ):
-                    far.append(j)
-            if far:
-                self._forward(topic, far, payload, number, channel, flags, age)
-                sent += sum(j < PORT_ADDRESSES.first_observer for j in far)
-                to = [
-                    j
-                    for j in to
-                    if j in ports or (impaired and j < PORT_ADDRESSES.first_observer)
-                ]
-                if to and topic.klass is MessageClass.ROUNDS:
-                    # Other processes wait for this round, and we wait for theirs: they go first.
-                    here = partial(
-                        self.send,
-                        topic,
-                        to,
-                        payload,
-                        number,
-                        channel,
-                        flags,
-                        attempt,
-                        age,
-                    )
-                    bus.forwarder.then(here)
-                    to = ()
+            to = self._send_away(bus.forwarder, message, to, attempt, age)
+            if not to:
+                return
+        drones = 0
         for j in to:
-            if j < PORT_ADDRESSES.first_observer:
-                sent += 1
-                if impaired:
-                    fate = bus.impairment.verdict(
-                        self.address,
-                        j,
-                        channel or topic.name,
-                        number,
-                        attempt,
-                        len(payload),
-                        self._now_ns() / NS_PER_SECOND,
-                    )
-                    if fate is LOST_MESSAGE:
-                        self.counters.lost += 1
-                        continue
-                    if fate is not UNDELAYED_MESSAGE:
-                        message = payload, number, channel, flags
-                        self._deliver_late(fate, topic, j, message, age)
-                        continue
-            port = ports.get(j)
-            if port is not None:
-                port.deliver(
-                    topic.number, self.address, payload, number, channel, flags, age
-                )
+            drones += j < FIRST_OBSERVER
+        counters = self.counters
+        if topic.impaired:
+            counters.sent += drones
+            if bus.impairment.active:
+                to = self._list_unharmed(message, to, attempt, age)
+        counters.bytes += drones * len(message.payload)
+        bus.deliver(message, to, age)
+
+    def _send_away(
+        self,
+        forwarder: Forwarder,
+        message: Message,
+        to: Sequence[int],
+        attempt: int,
+        age: float,
+    ) -> Sequence[int]:
+        """Send to other processes what does not pass the simulated network.
+
+        Returns the addresses that are left to be served now.
+        """
+        bus = self.bus
+        ports = bus.ports
+        topic = message.topic
+        is_impaired = topic.impaired and bus.impairment.active
+        far: list[int] = []
+        here: list[int] = []
+        drones = 0
+        for j in to:
+            if j in ports or (is_impaired and j < FIRST_OBSERVER):
+                here.append(j)
             else:
-                self._forward(topic, [j], payload, number, channel, flags, age)
-        self.counters.sent += sent if topic.impaired else 0
-        self.counters.bytes += sent * len(payload)
+                far.append(j)
+                drones += j < FIRST_OBSERVER
+        if not far:
+            return to
+        forwarder.forward(message, far, age)
+        self.counters.sent += drones if topic.impaired else 0
+        self.counters.bytes += drones * len(message.payload)
+        if here and topic.klass is MessageClass.ROUNDS:
+            # Other processes wait for this round, and we wait for theirs: they go first.
+            forwarder.then(partial(self.send, message, here, attempt, age))
+            return ()
+        return here
+
+    def _list_unharmed(
+        self, message: Message, to: Sequence[int], attempt: int, age: float
+    ) -> list[int]:
+        """Let the simulated network decide about a message to each of these addresses.
+
+        Returns the addresses that get it now, once.
+        """
+        unharmed = []
+        now = self._now_ns() / NS_PER_SECOND
+        for j in to:
+            if j >= FIRST_OBSERVER:
+                unharmed.append(j)
+                continue
+            fate = self.bus.impairment.verdict(
+                self.address,
+                j,
+                message.channel or message.topic.name,
+                message.number,
+                attempt,
+                len(message.payload),
+                now,
+            )
+            if fate is UNDELAYED_MESSAGE:
+                unharmed.append(j)
+            elif fate is LOST_MESSAGE:
+                self.counters.lost += 1
+            else:
+                self._deliver_late(fate, message, j, age)
+        return unharmed
 
     def list_readers(self, topic: Topic) -> list[int]:
         """Return the addresses of the other ports that read this topic of this port."""
@@ -541,76 +561,30 @@ class Port:
             number = self._numbers[topic.number] = (
                 self._numbers.get(topic.number, 0) + 1
             )
-            payload = encode(value)
-            bus = self.bus
-            if bus.forwarder is None and bus.tap is None and not bus.impairment.active:
-                self._give(topic, to, payload, number, age)
-            else:
-                self.send(topic, to, payload, number, age=age)
+            message = Message(topic, self.address, encode(value), number)
+            self.send(message, to, age=age)
 
-    def _give(
-        self, topic: Topic, to: Sequence[int], payload: bytes, number: int, age: float
-    ) -> None:
-        """Deliver at once: all readers are in this process, and no message is changed or tapped."""
-        bus = self.bus
-        source = self.address
-        now_ns = self._now_ns()
-        sent = 0
-        for j in to:
-            sent += j < PORT_ADDRESSES.first_observer
-            port = bus.ports.get(j)
-            inputs = port.mailboxes.get(topic.number) if port is not None else None
-            if port is None:
-                bus.unroutable += 1
-            elif inputs is None:
-                port.deliver(topic.number, source, payload, number, "", 0, age)
-            else:
-                port.counters.received += 1
-                port.heard_ns[source] = now_ns
-                value = bus.open(topic.number, payload)
-                for box in inputs.get(source, ()):
-                    box.put(value, age)
-                for box in inputs.get(PORT_ADDRESSES.any_drone, ()):
-                    box.put((source, value), age)
-        self.counters.sent += sent if topic.impaired else 0
-        self.counters.bytes += sent * len(payload)
+    def fill_mailboxes(self, message: Message, age: float) -> None:
+        """Give the value of a message to the mailboxes that ask for it.
 
-    def deliver(
-        self,
-        topic: int,
-        source: int,
-        payload: bytes,
-        number: int,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
-        """Take a message that has arrived for this port."""
-        bus = self.bus
-        self.counters.received += 1
-        if bus.tap is not None:
-            bus.tap(self.address, topic, source, number, payload, channel, flags, age)
-        self.heard_ns[source] = self._now_ns()
-        handler = self.handlers.get(topic)
-        if handler is not None:
-            handler(source, payload, number, channel, flags, age)
-            return
-        inputs = self.mailboxes.get(topic)
+        age: s, its age
+        """
+        inputs = self.mailboxes.get(message.topic.number)
         if inputs is None:
             return
-        boxes = inputs.get(source, ())
+        boxes = inputs.get(message.source, ())
         every = inputs.get(PORT_ADDRESSES.any_drone, ())
         if not boxes and not every:
             return
         try:
-            value = bus.open(topic, payload)
+            value = message.open()
         except CodecError:
             self.counters.malformed += 1
             return
         for box in boxes:
             box.put(value, age)
         for box in every:
-            box.put((source, value), age)
+            box.put((message.source, value), age)
 
     def add_reader(self, interest: Interest, mailbox: AnyMailbox | None) -> None:
         """Give the topic to `interest.reader` from now on, and a latched value at once.
@@ -638,7 +612,8 @@ class Port:
         if mailbox is not None:
             mailbox.put(value, age)
         else:
-            self.send(topic, (interest.reader,), encode(value), age=age)
+            message = Message(topic, self.address, encode(value))
+            self.send(message, (interest.reader,), age=age)
 
     def drop_readers(self, addresses: list[int]) -> None:
         """Remove the readers at these addresses."""
@@ -647,59 +622,21 @@ class Port:
         self.bus.note_reader_change()
 
     def _deliver_late(
-        self, fate: MessageFate, topic: Topic, j: int, message: Any, age: float
+        self, fate: MessageFate, message: Message, j: int, age: float
     ) -> None:
-        """Deliver each copy of a message to drone j after its delay in the simulated network.
-
-        message: (payload, number, channel, flags)
-        """
-        clock = self.bus.clock
+        """Deliver each copy of a message to drone j after its delay in the simulated network."""
+        bus = self.bus
         now_ns = self._now_ns()
         for delay in fate.deliveries:
-            arguments = (topic, j, *message, age + delay)
             if delay > 0.0:
-                clock.call_at(
+                bus.clock.call_at(
                     now_ns + round(delay * NS_PER_SECOND),
-                    self._arrive,
-                    *arguments,
+                    bus.deliver,
+                    message,
+                    (j,),
+                    age + delay,
                     priority=AlarmPriority.MESSAGE,
                     drone=j,
                 )
             else:
-                self._arrive(*arguments)
-
-    def _arrive(
-        self,
-        topic: Topic,
-        j: int,
-        payload: bytes,
-        number: int,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
-        """Deliver a message that has left the simulated network, in this process or another one."""
-        port = self.bus.ports.get(j)
-        if port is not None:
-            port.deliver(
-                topic.number, self.address, payload, number, channel, flags, age
-            )
-        else:
-            self._forward(topic, [j], payload, number, channel, flags, age)
-
-    def _forward(
-        self,
-        topic: Topic,
-        far: list[int],
-        payload: bytes,
-        number: int,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
-        if self.bus.forwarder is None:
-            self.bus.unroutable += len(far)
-        else:
-            self.bus.forwarder.forward(
-                topic, self.address, far, payload, number, channel, flags, age
-            )
+                bus.deliver(message, (j,), age + delay)

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from enum import Enum
 
 from crazychoir.bus.impairment.lossy_edges import LossyEdges
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import Port
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.runtime.actor import RESTART_ON_FAILURE, Actor
@@ -132,13 +133,14 @@ class PresenceMonitor(Actor):
             receivers = [j for j in self._watched if j not in ignoring]
             receivers += self.seek()
             if receivers:
-                self.port.send(
+                message = Message(
                     MESSAGE_TOPICS.heartbeat,
-                    receivers,
+                    self.port.address,
                     beat,
                     self._number,
                     HEARTBEAT_CHANNEL,
                 )
+                self.port.send(message, receivers)
         for j in self._list_changing(now_ns):
             self._look(j)
 

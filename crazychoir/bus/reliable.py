@@ -9,6 +9,7 @@ order. A restarted sender begins a new sequence with its new incarnation.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import Port
 from crazychoir.bus.topics import MESSAGE_TOPICS, Topic
 from crazychoir.runtime.clock import NS_PER_SECOND, Alarm
@@ -112,18 +113,7 @@ class Reliable:
     def listen(self, topic: Topic, receive: Receive) -> None:
         """Pass the messages of a reliable topic to `receive`."""
         self._receivers[topic.number] = receive
-
-        def arrived(
-            source: int,
-            payload: bytes,
-            number: int,
-            channel: str,
-            flags: int,
-            age: float,
-        ) -> None:
-            self._arrived(topic.number, source, payload, number, channel, flags)
-
-        self.port.handlers[topic.number] = arrived
+        self.port.handlers[topic.number] = self._arrived
 
     def send(self, topic: Topic, j: int, payload: bytes) -> None:
         """Send to port j.
@@ -166,31 +156,26 @@ class Reliable:
         # pending number.
         outgoing = self._outgoing[j]
         oldest = min(outgoing.pending)
-        self.port.send(
+        numbered = Message(
             message.topic,
-            (j,),
+            self.port.address,
             message.payload,
             number,
             self._label,
             number - oldest,
-            # With all retransmissions as the attempt, each transmission is one step further in a
-            # burst of losses, also after a message was given up.
-            outgoing.resent,
         )
+        # With all retransmissions as the attempt, each transmission is one step further in a
+        # burst of losses, also after a message was given up.
+        self.port.send(numbered, (j,), outgoing.resent)
 
-    def _arrived(
-        self,
-        topic: int,
-        source: int,
-        payload: bytes,
-        number: int,
-        label: str,
-        after_oldest: int,
-    ) -> None:
+    def _arrived(self, message: Message, age: float) -> None:
         """Take a message: deliver it and its successors in order, and acknowledge.
 
-        after_oldest: its number minus the oldest pending number of the sender
+        Its flags are its number minus the oldest pending number of the sender.
         """
+        source = message.source
+        number = message.number
+        label = message.channel
         incoming = self._incoming.get(source)
         if incoming is None:
             incoming = self._incoming[source] = _Incoming(label)
@@ -203,39 +188,30 @@ class Reliable:
                 ]
             )
             incoming = self._incoming[source] = _Incoming(label, former=former)
-        incoming.skip(number - after_oldest)
+        incoming.skip(number - message.flags)
         if (
             number >= incoming.expected
             and len(incoming.early) < RELIABLE_LIMITS.max_pending
         ):
-            incoming.early[number] = (topic, payload)
+            incoming.early[number] = (message.topic.number, message.payload)
         while incoming.expected in incoming.early:
             kind, content = incoming.early.pop(incoming.expected)
             incoming.expected += 1
             self._receivers[kind](source, content)
         incoming.acks += 1
-        self.port.send(
+        acknowledgement = Message(
             MESSAGE_TOPICS.acknowledgement,
-            (source,),
+            self.port.address,
             b"",
             incoming.expected,
             label,
-            0,
-            incoming.acks,
         )
+        self.port.send(acknowledgement, (source,), incoming.acks)
 
-    def _acknowledged(
-        self,
-        source: int,
-        payload: bytes,
-        number: int,
-        label: str,
-        flags: int,
-        age: float,
-    ) -> None:
-        outgoing = self._outgoing.get(source)
-        if outgoing is not None and label == self._label:
-            for done in [k for k in outgoing.pending if k < number]:
+    def _acknowledged(self, message: Message, age: float) -> None:
+        outgoing = self._outgoing.get(message.source)
+        if outgoing is not None and message.channel == self._label:
+            for done in [k for k in outgoing.pending if k < message.number]:
                 del outgoing.pending[done]
 
     def _schedule(self) -> None:

@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
 
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import (
     MESSAGE_TOPICS,
@@ -22,7 +23,7 @@ from crazychoir.bus.topics import (
 from crazychoir.errors import error_text
 from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
 from crazychoir.recording.mcap.messages import (
-    MESSAGE_BY_VALUE_TYPE,
+    FORM_BY_VALUE_TYPE,
     Exchanged,
     Pack,
     make_packer,
@@ -155,7 +156,7 @@ class Recorder(Actor):
             if kind in (usual_type(topic), Exchanged)
             else f"{topic.name}/{kind.__name__.lower()}"
         )
-        message = MESSAGE_BY_VALUE_TYPE.get(kind, MESSAGE_BY_VALUE_TYPE[dict])
+        message = FORM_BY_VALUE_TYPE.get(kind, FORM_BY_VALUE_TYPE[dict])
         opened = self._series[drone, topic.name, kind] = (
             Series(drone, name, message),
             make_packer(message, drone),
@@ -194,46 +195,26 @@ class Recorder(Actor):
                 why,
             )
 
-    def _rounds(
-        self,
-        to: int,
-        topic: int,
-        source: int,
-        number: int,
-        payload: bytes,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
+    def _rounds(self, to: int, message: Message, age: float) -> None:
         """Record a message of a round under its sender; other messages are recorded elsewhere."""
         if self._next is not None:
-            self._next(to, topic, source, number, payload, channel, flags, age)
-        if topic == MESSAGE_TOPICS.rounds.number:
-            self._take(
-                source,
-                MESSAGE_TOPICS.rounds,
-                Exchanged(to, number, flags, channel, payload),
-                age,
+            self._next(to, message, age)
+        if message.topic is MESSAGE_TOPICS.rounds:
+            exchanged = Exchanged(
+                to, message.number, message.flags, message.channel, message.payload
             )
+            self._take(message.source, MESSAGE_TOPICS.rounds, exchanged, age)
 
-    def _count(
-        self,
-        to: int,
-        topic: int,
-        source: int,
-        number: int,
-        payload: bytes,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
+    def _count(self, to: int, message: Message, age: float) -> None:
         """Count the messages of a topic that are missing before the message that has arrived.
 
         A latched value has no number. A number that begins anew is of an agent that was restarted.
         """
         if self._next is not None:
-            self._next(to, topic, source, number, payload, channel, flags, age)
+            self._next(to, message, age)
+        number = message.number
         if number:
-            before = self._numbers.get((source, topic), number)
-            self._numbers[source, topic] = number
+            series = (message.source, message.topic.number)
+            before = self._numbers.get(series, number)
+            self._numbers[series] = number
             self.file.missed += max(0, number - before - 1)

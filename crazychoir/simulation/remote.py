@@ -14,6 +14,7 @@ import numpy as np
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.commands import ANSWER_TEXTS, Commander, CommandServer
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import PORT_ADDRESSES, Port
 from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
 from crazychoir.config.tables import FlightTable
@@ -157,9 +158,10 @@ class RemoteLink:
             self.cut()
         elif self._heard and not self.unheard():
             self._sent += 1
-            self.port.send(
-                DRONE_TOPICS.command, (self._body,), encode(command), self._sent
+            message = Message(
+                DRONE_TOPICS.command, self.port.address, encode(command), self._sent
             )
+            self.port.send(message, (self._body,))
         else:
             self._heard = False
 
@@ -218,7 +220,8 @@ class RemoteLink:
     def cut(self) -> None:
         """Stop the motors for good."""
         self._cut = True
-        self.port.send(MESSAGE_TOPICS.cut, (self._body,), _EMPTY_PAYLOAD)
+        message = Message(MESSAGE_TOPICS.cut, self.port.address, _EMPTY_PAYLOAD)
+        self.port.send(message, (self._body,))
 
     @property
     def silence(self) -> float:
@@ -445,21 +448,13 @@ class RemoteBody:
             np.array([0.0, 0.0, flight.ground, yaw_of(state.q), seconds]),
         )
 
-    def _commanded(
-        self,
-        source: int,
-        payload: bytes,
-        number: int,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
+    def _commanded(self, message: Message, age: float) -> None:
         try:
-            command = self.port.bus.open(DRONE_TOPICS.command.number, payload)
+            command = message.open()
         except CodecError:
             self.port.counters.malformed += 1
             return
-        if source != self.drone or not _is_well_formed(command):
+        if message.source != self.drone or not _is_well_formed(command):
             self.port.counters.malformed += 1
         elif not isinstance(
             command, COMMAND_TYPES[self.kind]
@@ -493,16 +488,8 @@ class RemoteBody:
         if self.refused == 1:
             log.error("%s", reason)
 
-    def _cut(
-        self,
-        source: int,
-        payload: bytes,
-        number: int,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
-        if source == self.drone:
+    def _cut(self, message: Message, age: float) -> None:
+        if message.source == self.drone:
             self._commanded_ns = self._clock.now_ns()
             self._stop(True)
 

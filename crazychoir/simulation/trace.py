@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy.typing as npt
 
-from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.bus.message import Message
+from crazychoir.bus.port import FIRST_OBSERVER
 
 Table = npt.NDArray[Any]
 """An array of numbers or of records."""
 _pack_header = struct.Struct("<iiiq").pack
-_FIRST_OBSERVER = PORT_ADDRESSES.first_observer
 
 
 class Trace:
@@ -22,18 +22,13 @@ class Trace:
         self._parts: list[bytes] = []
         self._add = self._parts.append
 
-    def message(
-        self,
-        destination: int,
-        topic: int,
-        source: int,
-        number: int,
-        payload: bytes,
-        *_: object,
-    ) -> None:
+    def message(self, destination: int, message: Message, age: float) -> None:
         """Add one message when it arrives; messages to observers are not part of the run."""
-        if destination < _FIRST_OBSERVER:
-            self._add(_pack_header(destination, topic, source, number) + payload)
+        if destination < FIRST_OBSERVER:
+            header = _pack_header(
+                destination, message.topic.number, message.source, message.number
+            )
+            self._add(header + message.payload)
 
     def update(self, *tables: Table) -> None:
         """Add tables of one tick, after the messages since the last tick.

@@ -248,13 +248,10 @@ def _encoding_failure(
 
 def _require_all(communicator: Communicator) -> None:
     """Raise PeerLost, and end the algorithm for all agents, if a neighbour is gone for good."""
-    lost = [
-        j
-        for j in communicator.graph.at(0).in_neighbors(communicator.id)
-        if communicator.membership.is_lost(j)
-    ]
-    if lost:
-        error = PeerLost(communicator.id, lost, communicator.silence(lost))
+    neighbors = communicator.graph.at(0).in_neighbors(communicator.id)
+    try:
+        communicator.exchange.waits.require_present(neighbors)
+    except PeerLost as error:
         raise _AlgorithmEnded.by(error) from error
 
 

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from crazychoir.bus.message import Message
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.team.expected_wait import (
     NEGLIGIBLE_WAIT,
@@ -19,8 +20,10 @@ from crazychoir.team.expected_wait import (
 )
 from crazychoir.team.message_kind import (
     DELAY_MASK,
+    KIND_MASK,
     MOST_RELAYS,
     NO_MESSAGE,
+    REPEAT_KIND,
     is_sent_again,
     read_lateness,
 )
@@ -38,14 +41,25 @@ class RoundWindow:
 
 
 ROUND_WINDOW = RoundWindow()
+_KEPT_ROUNDS: Final = ROUND_WINDOW.kept_rounds
+
+
+@dataclass(eq=False, slots=True)
+class RoundCounters:
+    """Counts of the rounds of one drone, on all its channels."""
+
+    sent: int = 0
+    """Rounds sent."""
+    ahead: int = 0
+    """Messages dropped because their round was too far ahead."""
 
 
 Content = bytes | dict[int, bytes]
 """One payload for all readers, or one for each reader."""
 Sent = tuple[Content, tuple[int, ...]]
 """Payload of a sent round, and its readers."""
-Latest = tuple[int, bytes, int]
-"""Round, payload, and the time of its creation on our clock, in ns."""
+Latest = tuple[Message, int]
+"""A message, and the time of its creation on our clock, in ns."""
 NOT_SENT: Final[Sent] = (b"", ())
 """Stands for a round that is not kept: no payload and no readers."""
 
@@ -178,6 +192,8 @@ class Channel:
 
     name: str
     """Name of the channel, unique at this drone."""
+    counters: RoundCounters
+    """Counts of the drone's rounds."""
     joinable: bool = False
     """True if the channel continues across epochs."""
     sending: int = 0
@@ -196,8 +212,8 @@ class Channel:
     """Out-neighbours, valid before round `until`."""
     sent: dict[int, Sent] = field(default_factory=dict)
     """{round: payload and readers} of the own rounds that are kept."""
-    inbox: dict[int, dict[int, bytes]] = field(default_factory=dict)
-    """{round: {sender: payload}} of received rounds that are not read yet."""
+    inbox: dict[int, dict[int, Message]] = field(default_factory=dict)
+    """{round: {sender: message}} of received rounds that are not read yet."""
     peers: NeighborProgress = field(default_factory=NeighborProgress)
     """Messages and progress of the neighbours."""
     wait: RoundWait = field(default_factory=RoundWait)
@@ -216,10 +232,18 @@ class Channel:
     """Resolved when there is news of the readers' progress."""
 
     @classmethod
-    def beginning(cls, name: str, joinable: bool, first: int) -> "Channel":
+    def beginning(
+        cls, name: str, counters: RoundCounters, joinable: bool, first: int
+    ) -> "Channel":
         """Return a new channel that begins with the round `first`."""
         return cls(
-            name, joinable, sending=first, receiving=first, oldest=first, limit=first
+            name,
+            counters,
+            joinable,
+            sending=first,
+            receiving=first,
+            oldest=first,
+            limit=first,
         )
 
     @property
@@ -228,6 +252,45 @@ class Channel:
         return self.closed_at < self.sending and bool(
             self.sending or self.receiving or self.wait.waiter
         )
+
+    def take(self, message: Message, born_ns: int) -> bool:
+        """Take a neighbour's message of a round.
+
+        born_ns: ns, time of its creation on our clock
+        Returns True if it completes the awaited round.
+        """
+        source = message.source
+        number = message.number
+        flags = message.flags
+        peers = self.peers
+        latest = peers.latest.get(source)
+        if latest is None or number >= latest[0].number:
+            peers.latest[source] = (message, born_ns)
+            if flags & KIND_MASK <= REPEAT_KIND:
+                peers.progress[source] = number
+        k = self.receiving
+        wait = self.wait
+        if k <= number < k + _KEPT_ROUNDS:
+            box = self.inbox.get(number)
+            if box is None:
+                box = self.inbox[number] = {}
+            if source not in box:
+                box[source] = message
+                if flags & KIND_MASK and is_sent_again(flags):
+                    wait.take_repeat(source, number)
+                missing = wait.missing
+                if number == k and source in missing:
+                    del missing[source]
+                    if not missing:
+                        wait.ended_by = flags
+                        return True
+                return False
+        elif number >= k:
+            self.counters.ahead += 1
+            return False
+        if wait.repeated and not is_sent_again(flags):
+            wait.take_original(source, number)
+        return False
 
     def stored(self, k: int, j: int) -> bytes | None:
         """Return our message of round k for j, or None if it is not kept or j does not read it.
@@ -299,3 +362,20 @@ class Channel:
         while self.oldest < done and self.sent.get(self.oldest, NOT_SENT)[1] is readers:
             del self.sent[self.oldest]
             self.oldest += 1
+
+
+def wake_if(waiter: "asyncio.Future[None] | None") -> None:
+    """Resolve a waiter, if there is one."""
+    if waiter is not None and not waiter.done():
+        waiter.set_result(None)
+
+
+def is_waiting(wait: RoundWait) -> bool:
+    """Return True if a caller waits for a round."""
+    return wait.waiter is not None and not wait.waiter.done()
+
+
+def fail_waiter(ch: Channel, error: Exception) -> None:
+    """End the wait of a channel with an error."""
+    if ch.wait.waiter is not None and not ch.wait.waiter.done():
+        ch.wait.waiter.set_exception(error)

@@ -2,30 +2,26 @@
 asynchronous_receive, neighbors_exchange.
 """
 
-import asyncio
 from dataclasses import dataclass
 from math import inf
 from typing import Any, Literal
 
-from crazychoir.bus.codec import decode, encode
-from crazychoir.bus.topics import MESSAGE_TOPICS
-from crazychoir.errors import CodecError, PeerLost, RoundTimeout
-from crazychoir.runtime.clock import NS_PER_SECOND, wake_waiter
-from crazychoir.team.channel import ROUND_WINDOW, Channel
+from crazychoir.bus.codec import encode
+from crazychoir.bus.message import Message
+from crazychoir.bus.port import Port
+from crazychoir.errors import PeerLost, RoundTimeout
+from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.team.channel import Channel
+from crazychoir.team.channel_table import FAILURE_CHANNEL, Membership
+from crazychoir.team.epochs import AnyGraph
+from crazychoir.team.exchange import Exchange
 from crazychoir.team.expected_wait import RESEND_TIMES
-from crazychoir.team.message_kind import (
-    AHEAD_KIND,
-    DATA_KIND,
-    MessageKind,
-    flag_lateness,
-)
-from crazychoir.team.rounds import (
-    CREDIT_EVERY,
-    FAILURE_CHANNEL,
-    FIRST_UNASKED_ATTEMPT,
-    Rounds,
-)
-from crazychoir.types import Failure, PerNeighbor
+from crazychoir.team.message_kind import AHEAD_KIND, DATA_KIND, MessageKind
+from crazychoir.team.round_sender import ROUND_TOPIC
+from crazychoir.types import Failure
+
+CREDIT_EVERY = 16
+"""Rounds between two credits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +48,68 @@ Policy = Literal["raise", "partial", "hold"]
 """Action of an exchange at its deadline."""
 
 
-class Communicator(Rounds):
+class Communicator:
     """One drone's part in the team's exchanges, on a graph that
     may be directed and may change with the round.
 
-    rounds: rounds sent since the start
-    ahead: messages dropped because their round was too far ahead
+    port: port of the drone on the bus
+    graph: communication graph, or a periodic sequence of graphs
+    membership: says which drones are lost; None if no drone is
+    deadline: default seconds to wait for a round
+
+    Attributes:
+    id: id of the drone
+    exchange: channels of the drone, and the parts that send, take and await their messages
     """
+
+    def __init__(
+        self,
+        port: Port,
+        graph: AnyGraph,
+        membership: Membership | None = None,
+        deadline: float = 60.0,
+    ) -> None:
+        self.port = port
+        self.deadline = deadline
+        self.id = port.address
+        self.exchange = Exchange(port, graph, membership)
+        self._clock = port.bus.clock
+        self._channels = self.exchange.table.channels
+        self._epochs = self.exchange.table.epochs
+        self._sender = self.exchange.sender
+        self._waits = self.exchange.waits
+        self._open_all = self.exchange.arrivals.open_all
+
+    @property
+    def graph(self) -> AnyGraph:
+        """Communication graph of the newest epoch."""
+        return self._epochs.graph
+
+    @graph.setter
+    def graph(self, graph: AnyGraph) -> None:
+        self.exchange.table.replace_graph(graph)
+
+    @property
+    def epoch(self) -> int:
+        """Number of the team's present composition."""
+        return self._epochs.epoch
+
+    @property
+    def rounds(self) -> int:
+        """Rounds sent since the start."""
+        return self.exchange.table.counters.sent
+
+    @property
+    def ahead(self) -> int:
+        """Messages dropped because their round was too far ahead."""
+        return self.exchange.table.counters.ahead
+
+    def open(self, channel: str, joinable: bool = False) -> Channel:
+        """Return a channel, which is an algorithm instance with its own rounds.
+
+        Create it if needed, see `Exchange.open`.
+        """
+        return self.exchange.open(channel, joinable)
 
     # The verbs ------------------------------------------------------------------------
 
@@ -94,19 +145,19 @@ class Communicator(Rounds):
         k = ch.sending
         if k == ch.receiving:
             if k >= ch.limit or ch.changed is not None:
-                await self._admit(
+                await self._waits.admit(
                     ch,
                     self.deadline if deadline is None else deadline,
                     policy == "raise",
                 )
                 k = ch.sending
             if k >= ch.until:
-                self._look(ch, k)
-            self._send_round(
+                self.exchange.table.find_neighbors(ch, k)
+            self._sender.send_round(
                 ch, data, ch.outs if out_neighbors is None else out_neighbors, DATA_KIND
             )
         elif ch.receiving >= ch.until:
-            self._look(ch, ch.receiving)
+            self.exchange.table.find_neighbors(ch, ch.receiving)
         return await self._collect(
             ch, ch.ins if in_neighbors is None else in_neighbors, deadline, policy
         )
@@ -127,7 +178,7 @@ class Communicator(Rounds):
         """
         ch = self._channels.get(channel) or self.open(channel)
         if ch.sending >= ch.limit or ch.changed is not None:
-            await self._admit(
+            await self._waits.admit(
                 ch, self.deadline if deadline is None else deadline, patient=False
             )
         k = ch.sending
@@ -136,7 +187,7 @@ class Communicator(Rounds):
             if neighbors is None
             else neighbors
         )
-        self._send_round(
+        self._sender.send_round(
             ch, data, readers, DATA_KIND if ch.receiving >= k else AHEAD_KIND
         )
 
@@ -178,12 +229,13 @@ class Communicator(Rounds):
             else neighbors
         )
         oldest_ns = self._clock.now_ns() - max_age * NS_PER_SECOND
-        found = {j: ch.peers.latest[j] for j in wanted if j in ch.peers.latest}
-        return {
-            j: self._decoded(payload)
-            for j, (_, payload, born_ns) in found.items()
+        latest = ch.peers.latest
+        young = {
+            j: message
+            for j, (message, born_ns) in latest.items()
             if born_ns >= oldest_ns
         }
+        return self._open_all(young, wanted)
 
     async def close(
         self, channel: str = "main", linger: float = CLOSING_RULES.linger_time
@@ -212,7 +264,7 @@ class Communicator(Rounds):
         while late := [
             j
             for j in neighbors
-            if ch.peers.finished.get(j, -1) < n and not self._absent(j)
+            if ch.peers.finished.get(j, -1) < n and not self.exchange.table.is_absent(j)
         ]:
             if ch.answers != answers:
                 ends = self._clock.now() + linger
@@ -221,14 +273,16 @@ class Communicator(Rounds):
                 return
             # Wait for the timer even if there is news: otherwise each of n neighbours asks n times.
             if self._clock.now_ns() >= due_ns:
-                self._control(ch, MessageKind.FIN_TOO, tuple(late), n, attempt)
+                self._sender.send_control(
+                    ch, MessageKind.FIN_TOO, tuple(late), n, attempt
+                )
                 attempt = attempt + 1
                 due_ns = self._clock.now_ns() + round(
                     2 * RESEND_TIMES.shortest * NS_PER_SECOND
                 )
-            await self._pause(ch, (due_ns - self._clock.now_ns()) / NS_PER_SECOND)
+            await self._waits.pause(ch, (due_ns - self._clock.now_ns()) / NS_PER_SECOND)
         for again in range(attempt, attempt + CLOSING_RULES.end_messages):
-            self._control(ch, MessageKind.FIN, neighbors, n, again)
+            self._sender.send_control(ch, MessageKind.FIN, neighbors, n, again)
         ch.sent.clear()
         ch.oldest = ch.sending
 
@@ -239,84 +293,12 @@ class Communicator(Rounds):
         RoundTimeout at its deadline.
         """
         payload = encode(word)
-        flags = self._flags | AHEAD_KIND
+        flags = self.exchange.table.epoch_flags | AHEAD_KIND
         for k in range(CLOSING_RULES.last_messages):
             readers = self._epochs.at(False, k).out_neighbors(self.id)
-            self.port.send(
-                MESSAGE_TOPICS.rounds, readers, payload, k, FAILURE_CHANNEL, flags
-            )
+            message = Message(ROUND_TOPIC, self.id, payload, k, FAILURE_CHANNEL, flags)
+            self.port.send(message, readers)
             await self._clock.sleep(RESEND_TIMES.shortest, drone=self.id)
-
-    # Sending --------------------------------------------------------------------------
-
-    def _send_round(
-        self, ch: Channel, data: Any, to: tuple[int, ...], kind: int
-    ) -> None:
-        """Encode and send the next round, and keep it for late readers."""
-        k = ch.sending
-        flags = self._flags | kind
-        if ch.wait.own_lateness:
-            flags |= flag_lateness(ch.wait.own_lateness, ch.wait.own_relays)
-        if type(data) is PerNeighbor:
-            if lacking := [j for j in to if j not in data]:
-                where = f"drone {self.id}: channel {ch.name!r}"
-                raise CodecError(
-                    f"{where}: a PerNeighbor of {sorted(data)} has nothing for drone(s) {lacking}"
-                )
-            payloads = {j: encode(data[j]) for j in to}
-            ch.sent[k] = (payloads, to)
-            for j, payload in payloads.items():
-                self.port.send(MESSAGE_TOPICS.rounds, (j,), payload, k, ch.name, flags)
-        else:
-            payload = encode(data)
-            ch.sent[k] = (payload, to)
-            self.port.send(MESSAGE_TOPICS.rounds, to, payload, k, ch.name, flags)
-        ch.sending = k + 1
-        self.rounds += 1
-
-    async def _admit(self, ch: Channel, seconds: float, patient: bool = True) -> None:
-        """Wait until the next round may be sent: no reader is a
-        history behind, and no new epoch is being formed.
-
-        patient: False to wait only for readers that have asked for rounds
-        """
-        ends = self._clock.now() + seconds
-        while True:
-            if ch.changed is not None:
-                error = ch.changed
-                ch.changed = None
-                raise error
-            late = ch.trim(self._epochs.gone, not patient)
-            held = ch.joinable and ch.sending >= self._epochs.held
-            if not held and ch.sending < ch.oldest + ROUND_WINDOW.kept_rounds:
-                break
-            lost = [j for j in late if self.membership.is_lost(j)]
-            if lost and not ch.joinable:
-                raise PeerLost(self.id, lost, self.silence(lost))
-            if self._clock.now() >= ends:
-                raise RoundTimeout(self.id, ch.name, ch.oldest, late or ch.ins, seconds)
-            await self._pause(ch, RESEND_TIMES.longest)
-            ch.reminders += 1
-            attempt = 2 * FIRST_UNASKED_ATTEMPT + ch.reminders
-            for j in ch.behind(ch.oldest, self._epochs.gone, not patient):
-                self._again(ch, ch.oldest, j, attempt, MessageKind.REPEAT)
-        ch.limit = int(
-            min(
-                ch.oldest + ROUND_WINDOW.kept_rounds,
-                self._epochs.held if ch.joinable else inf,
-            )
-        )
-
-    async def _pause(self, ch: Channel, seconds: float) -> None:
-        """Wait for news of a channel, but not longer than `seconds`."""
-        gate = ch.gate = asyncio.get_running_loop().create_future()
-        due_ns = self._clock.now_ns() + round(seconds * NS_PER_SECOND)
-        alarm = self._clock.call_at(due_ns, wake_waiter, gate, drone=self.id)
-        try:
-            await gate
-        finally:
-            ch.gate = None
-            alarm.cancel()
 
     # Receiving ------------------------------------------------------------------------
 
@@ -332,12 +314,13 @@ class Communicator(Rounds):
         box = ch.inbox.get(k)
         if box is None:
             box = ch.inbox[k] = {}
-        missing = dict.fromkeys(wanted)
-        for j in box:
-            missing.pop(j, None)
+        missing: dict[int, None] = {}
+        for j in wanted:
+            if j not in box:
+                missing[j] = None
         if missing:
             ch.wait.strict = policy == "raise"
-            waiter = self._expect(
+            waiter = self._waits.begin(
                 ch, missing, self.deadline if deadline is None else deadline
             )
             try:
@@ -346,7 +329,7 @@ class Communicator(Rounds):
                 if policy == "raise":
                     raise
             finally:
-                self._expected(ch)
+                self._waits.end(ch)
         else:
             ch.wait.own_lateness = 0.0
             if not wanted:
@@ -355,30 +338,8 @@ class Communicator(Rounds):
         ch.receiving = k + 1
         ch.wait.attempt = 0
         if not k % CREDIT_EVERY:
-            self._grant(ch, k, wanted)
+            self._sender.send_credit(ch, k, wanted)
         if policy == "hold":
-            box = {
-                j: ch.peers.latest[j][1] for j in wanted if j in ch.peers.latest
-            } | box
-        heard = {}
-        try:
-            for j in wanted:
-                if j in box:
-                    heard[j] = decode(box[j])
-        except CodecError:
-            self.port.counters.malformed += 1
-            raise
-        return heard
-
-    def _grant(self, ch: Channel, k: int, wanted: tuple[int, ...]) -> None:
-        """Send our progress to the senders that do not receive our messages."""
-        one_way = tuple(j for j in wanted if not ch.reads(k, j))
-        if one_way:
-            self._control(ch, MessageKind.CREDIT, one_way, k + 1)
-
-    def _decoded(self, payload: bytes) -> Any:
-        try:
-            return decode(payload)
-        except CodecError:
-            self.port.counters.malformed += 1
-            raise
+            latest = ch.peers.latest
+            box = {j: latest[j][0] for j in wanted if j in latest} | box
+        return self._open_all(box, wanted)

@@ -6,6 +6,7 @@ from itertools import takewhile
 from typing import Final, Protocol
 
 from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.message import Message
 from crazychoir.bus.presence import (
     SILENCE_TIMEOUT,
     Presence,
@@ -213,16 +214,10 @@ class TeamPresence:
             self._sent = (beat, encode(beat.wire()))
         return self._sent[1]
 
-    def _handle_heartbeat(
-        self,
-        source: int,
-        payload: bytes,
-        number: int,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
+    def _handle_heartbeat(self, message: Message, age: float) -> None:
         """Take a heartbeat of another drone."""
+        source = message.source
+        payload = message.payload
         if self.port.ignored_beats.get(source) == payload:
             return  # the heartbeat is unchanged since a check that found nothing to do
         try:

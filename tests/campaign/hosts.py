@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, TypeVar
 
 from crazychoir.bus.impairment.model import Impairment
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import Topic
 from crazychoir.runtime.clock import NS_PER_SECOND, Alarm, Clock
 
 T = TypeVar("T")
@@ -40,12 +40,12 @@ class Way:
     def __init__(self, own: Bus, others: Sequence[Bus]) -> None:
         self.own, self.others = own, others
 
-    def forward(self, topic: Topic, source: int, to: list[int], *message: Any) -> None:
+    def forward(self, message: Message, to: list[int], age: float) -> None:
         for j in to:
             for bus in self.others:
                 port = bus.ports.get(j)
                 if port is not None:
-                    port.deliver(topic.number, source, *message)
+                    bus.deliver(message, (j,), age)
                     break
             else:
                 self.own.unroutable += 1

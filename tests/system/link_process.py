@@ -10,12 +10,12 @@ import json
 import sys
 import time
 from collections.abc import AsyncIterator
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from crazychoir.bus.frames import Envelope
+from crazychoir.bus.message import Message
 from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.network.zenoh_session import SessionEndpoints
@@ -133,19 +133,11 @@ class Arrivals:
         """s, by source."""
         for port in link.bus.ports.values():
             for name in STREAMED_TOPICS:
-                port.handlers[TOPIC_BY_NAME[name].number] = partial(self._take, name)
+                port.handlers[TOPIC_BY_NAME[name].number] = self._take
 
-    def _take(
-        self,
-        topic: str,
-        source: int,
-        payload: bytes,
-        number: int,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
-        self.messages.append((topic, source, number))
+    def _take(self, message: Message, age: float) -> None:
+        source = message.source
+        self.messages.append((message.topic.name, source, message.number))
         self.worst_age[source] = max(self.worst_age.get(source, 0.0), age)
 
 

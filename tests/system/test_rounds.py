@@ -66,7 +66,7 @@ def mission(graph: Graph, impairment: Impairment, rounds: int) -> Any:
 
         async def agent(barrier: Barrier) -> bytes:
             communicator = Communicator(barrier.port, graph)
-            communicator.follow(barrier)
+            communicator.exchange.follow(barrier)
             await barrier.go()
             algorithm = Consensus(barrier.id, graph, rounds)
             await run_algorithm(communicator, algorithm)

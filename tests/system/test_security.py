@@ -10,12 +10,14 @@ from pathlib import Path
 
 import pytest
 import zenoh
+from message_parts import taking_parts
 from ports import free_ports
 from system.agents import CRAZYCHOIR, Program
 from system.link_process import linked, wall_clock
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import Envelope, Frame, encode_frame
+from crazychoir.bus.message import Message
 from crazychoir.bus.network import authority, flood_limit
 from crazychoir.bus.network.authority import KEY_FILES
 from crazychoir.bus.network.greeter import HELLO_TIMING
@@ -253,8 +255,8 @@ async def test_a_host_speaks_for_its_drones_alone(lab, caplog):
 async def test_only_operators_are_obeyed_and_the_others_are_named_once(lab, caplog):
     link = await lab.link("a", "0-1", [0])
     commanded = []
-    link.bus.ports[0].handlers[MESSAGE_TOPICS.request.number] = lambda *message: (
-        commanded.append(message)
+    link.bus.ports[0].handlers[MESSAGE_TOPICS.request.number] = taking_parts(
+        lambda *message: commanded.append(message)
     )
     others = {"b": await lab.link("b", "observer-b.2", [OBSERVER + 1])}
     others["console"] = await lab.link("console", "observer-console.1", [OBSERVER])
@@ -268,12 +270,15 @@ async def test_only_operators_are_obeyed_and_the_others_are_named_once(lab, capl
         (port,) = other.bus.ports.values()
         for number in range(3):
             port.send(
-                MESSAGE_TOPICS.request,
+                Message(
+                    MESSAGE_TOPICS.request,
+                    port.address,
+                    encode(["land", {}, 5.0]),
+                    number,
+                    "1",
+                    0,
+                ),
                 (0,),
-                encode(["land", {}, 5.0]),
-                number,
-                "1",
-                0,
                 0,
             )
     await until(lambda: len(commanded) == 3 and link.counters.forbidden == 3)
@@ -372,8 +377,8 @@ async def test_a_flood_is_cut_off_and_named_once_and_others_are_heard(
     )
     intruder = lab.intruder(lab.keys / "b")
     heard = []
-    link.bus.ports[0].handlers[MESSAGE_TOPICS.request.number] = lambda *message: (
-        heard.append(message)
+    link.bus.ports[0].handlers[MESSAGE_TOPICS.request.number] = taking_parts(
+        lambda *message: heard.append(message)
     )
     frame = encode_frame(Frame("1-f", 1, DRONE_TOPICS.status.klass, []))
 
@@ -388,7 +393,16 @@ async def test_a_flood_is_cut_off_and_named_once_and_others_are_heard(
     asked = 0
     while not flooding.done():
         friend.bus.ports[OBSERVER].send(
-            MESSAGE_TOPICS.request, (0,), encode(["land", {}, 5.0]), asked, "1", 0, 0
+            Message(
+                MESSAGE_TOPICS.request,
+                friend.bus.ports[OBSERVER].address,
+                encode(["land", {}, 5.0]),
+                asked,
+                "1",
+                0,
+            ),
+            (0,),
+            0,
         )
         asked += 1
         await asyncio.sleep(0.01)
@@ -411,8 +425,8 @@ async def test_a_host_cannot_put_another_s_name_behind_its_own_in_a_key(lab):
         )
     )
     commanded = []
-    link.bus.ports[0].handlers[MESSAGE_TOPICS.request.number] = lambda *message: (
-        commanded.append(message)
+    link.bus.ports[0].handlers[MESSAGE_TOPICS.request.number] = taking_parts(
+        lambda *message: commanded.append(message)
     )
     order = Envelope(
         MESSAGE_TOPICS.request.number,

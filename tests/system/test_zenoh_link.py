@@ -16,12 +16,14 @@ from typing import Any
 
 import pytest
 import zenoh
+from message_parts import taking_parts
 from ports import free_ports
 from system.link_children import Child, endpoint, until
 from system.link_process import consensus_here, endings_here, linked, wall_clock
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import FRAME_FORMAT, Envelope, Frame, encode_frame
+from crazychoir.bus.message import Message
 from crazychoir.bus.network.hello import Hello
 from crazychoir.bus.network.public_topics import PublicCopies
 from crazychoir.bus.network.zenoh_link import ZenohLink
@@ -204,13 +206,17 @@ async def test_a_killed_process_is_noticed_at_once_and_its_messages_are_dropped(
     link = await ground.link([0])
     child = await ground.child([1])
     await until(ground.knows(link))
-    link.bus.ports[0].send(MESSAGE_TOPICS.rounds, (1,), b"x")
+    link.bus.ports[0].send(
+        Message(MESSAGE_TOPICS.rounds, link.bus.ports[0].address, b"x"), (1,)
+    )
     assert link.bus.unroutable == 0
     child.process.kill()
     killed = time.perf_counter()
     await until(lambda: ground.tokens[-1][:2] == ([1], False))
     assert ground.tokens[-1][2] - killed < 0.1
-    link.bus.ports[0].send(MESSAGE_TOPICS.rounds, (1,), b"x")
+    link.bus.ports[0].send(
+        Message(MESSAGE_TOPICS.rounds, link.bus.ports[0].address, b"x"), (1,)
+    )
     assert link.bus.unroutable == 1
     assert link.peers == {}
 
@@ -278,7 +284,14 @@ async def test_a_stop_of_more_drones_than_one_message_names_reaches_them_all(
     child = await ground.child(list(there))
     await until(ground.knows(link))
     link.bus.ports[0].send(
-        MESSAGE_TOPICS.emergency_stop, tuple(there), encode(False), 1, "f1"
+        Message(
+            MESSAGE_TOPICS.emergency_stop,
+            link.bus.ports[0].address,
+            encode(False),
+            1,
+            "f1",
+        ),
+        tuple(there),
     )
     assert (await child.when("messages"))["messages"] == len(there)
     assert link.counters.unsendable == 0
@@ -418,10 +431,12 @@ async def test_a_token_that_is_lost_while_the_link_holds_is_made_up_for(
         "they answer each other for ever"
     )
     arrived: list[bytes] = []
-    link.bus.ports[0].handlers[MESSAGE_TOPICS.rounds.number] = lambda *message: (
-        arrived.append(message[1])
+    link.bus.ports[0].handlers[MESSAGE_TOPICS.rounds.number] = taking_parts(
+        lambda *message: arrived.append(message[1])
     )
-    other.bus.ports[1].send(MESSAGE_TOPICS.rounds, (0,), b"y")
+    other.bus.ports[1].send(
+        Message(MESSAGE_TOPICS.rounds, other.bus.ports[1].address, b"y"), (0,)
+    )
     await until(lambda: arrived == [b"y"], 1.0)
 
 
@@ -429,11 +444,11 @@ async def test_what_cannot_be_sent_is_counted(ground: Ground) -> None:
     link = await ground.link([0])
     await ground.child([1])
     await until(ground.knows(link))
-    link.forward(DRONE_TOPICS.result, 0, [1], bytes(5 << 20), 0, "", 0, 0.0)
-    link.forward(DRONE_TOPICS.result, 0, [1], b"", 0, "c" * 300, 0, 0.0)
-    link.forward(DRONE_TOPICS.result, 0, [1], b"", 0, "", 0, float("inf"))
+    link.forward(Message(DRONE_TOPICS.result, 0, bytes(5 << 20)), [1], 0.0)
+    link.forward(Message(DRONE_TOPICS.result, 0, b"", 0, "c" * 300), [1], 0.0)
+    link.forward(Message(DRONE_TOPICS.result, 0, b""), [1], float("inf"))
     assert link.counters.unsendable == 3
-    link.forward(DRONE_TOPICS.result, 0, [1], b"", 0, "", 0, -1e-9)
+    link.forward(Message(DRONE_TOPICS.result, 0, b""), [1], -1e-9)
     assert link.counters.unsendable == 3
     before = link.counters.frames_sent
     await until(lambda: link.counters.frames_sent > before)
@@ -446,11 +461,11 @@ async def test_large_messages_arrive(ground: Ground, size: int) -> None:
     await until(ground.knows(link, "c-1"))
     await until(ground.knows(other, "a-1"))
     arrived: list[int] = []
-    other.bus.ports[1].handlers[MESSAGE_TOPICS.rounds.number] = lambda *message: (
-        arrived.append(len(message[1]))
+    other.bus.ports[1].handlers[MESSAGE_TOPICS.rounds.number] = taking_parts(
+        lambda *message: arrived.append(len(message[1]))
     )
     for k in range(5):
-        link.forward(MESSAGE_TOPICS.rounds, 0, [1], bytes(size), k, "", 0, 0.0)
+        link.forward(Message(MESSAGE_TOPICS.rounds, 0, bytes(size), k), [1], 0.0)
         await asyncio.sleep(0.1)
     await until(lambda: len(arrived) >= 3, 2.0)
 
@@ -460,10 +475,12 @@ async def test_a_message_ages_while_the_loop_hangs(ground: Ground) -> None:
     other = await ground.link([1], "c-1", listen=[endpoint(ground.ports[1])])
     await until(ground.knows(link, "c-1"))
     ages: list[float] = []
-    link.bus.ports[0].handlers[MESSAGE_TOPICS.rounds.number] = lambda *message: (
-        ages.append(message[-1])
+    link.bus.ports[0].handlers[MESSAGE_TOPICS.rounds.number] = taking_parts(
+        lambda *message: ages.append(message[-1])
     )
-    other.bus.ports[1].send(MESSAGE_TOPICS.rounds, (0,), b"x")
+    other.bus.ports[1].send(
+        Message(MESSAGE_TOPICS.rounds, other.bus.ports[1].address, b"x"), (0,)
+    )
     other.outbox.flush()
     time.sleep(0.2)  # noqa: ASYNC251 - the loop hangs
     await until(lambda: ages)
@@ -539,7 +556,12 @@ async def test_a_stopped_peer_does_not_delay_the_sender(ground: Ground) -> None:
     for _ in range(3):
         link.counters.worst_put_s = 0.0
         for _ in range(200):
-            link.bus.ports[0].send(MESSAGE_TOPICS.rounds, (1,), bytes(20_000))
+            link.bus.ports[0].send(
+                Message(
+                    MESSAGE_TOPICS.rounds, link.bus.ports[0].address, bytes(20_000)
+                ),
+                (1,),
+            )
             await asyncio.sleep(0.001)
         worst.append(link.counters.worst_put_s)
     assert min(worst) < 0.002, "this machine may steal some ms, but not always"
@@ -557,7 +579,7 @@ async def test_closing_ends_a_link_for_good(ground: Ground) -> None:
     await link.on_stop()
     assert time.perf_counter() - began < 3.0
     dropped = link.counters.dropped
-    link.forward(DRONE_TOPICS.result, 0, [1], b"", 0, "", 0, 0.0)
+    link.forward(Message(DRONE_TOPICS.result, 0, b""), [1], 0.0)
     link.alarm(0, "too late")
     assert link.counters.dropped == dropped + 1
     assert (await child.when("heard", empty=True))["heard"] == []

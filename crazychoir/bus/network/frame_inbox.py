@@ -7,6 +7,7 @@ import logging
 from functools import partial
 
 from crazychoir.bus.frames import Envelope, Frame, FrameVersionError, decode_frame
+from crazychoir.bus.message import Message
 from crazychoir.bus.network.arrival_queue import ArrivalQueue
 from crazychoir.bus.network.flood_limit import FrameBudget, FrameBudgets
 from crazychoir.bus.network.greeter import Greeter
@@ -15,7 +16,7 @@ from crazychoir.bus.network.link_keys import read_sender, read_token
 from crazychoir.bus.network.peers import Peer, Peers
 from crazychoir.bus.network.zenoh_session import FrameSample
 from crazychoir.bus.port import Bus
-from crazychoir.bus.topics import MESSAGE_TOPICS, MessageClass
+from crazychoir.bus.topics import MESSAGE_TOPICS, TOPIC_BY_NUMBER, MessageClass
 from crazychoir.errors import CodecError
 from crazychoir.runtime.clock import NS_PER_SECOND
 
@@ -158,7 +159,6 @@ class FrameInbox:
         """Deliver the messages of a peer that it may send to the ports of this process."""
         directory = self._table.directory
         access = self._table.access
-        ports = self._bus.ports
         waited = (self._now_ns() - arrived_ns) / NS_PER_SECOND
         for message in messages:
             if message.topic == MESSAGE_TOPICS.hello.number:
@@ -171,20 +171,31 @@ class FrameInbox:
                 self._forbid(peer)
             else:
                 age = message.age + waited
-                for j in (
-                    message.to if len(message.to) == 1 else dict.fromkeys(message.to)
-                ):
-                    port = ports.get(j)
-                    if port is not None:
-                        port.deliver(
-                            message.topic,
-                            message.source,
-                            message.payload,
-                            message.number,
-                            message.channel,
-                            message.flags,
-                            age,
-                        )
+                self._deliver(message, age)
+
+    def _deliver(self, envelope: Envelope, age: float) -> None:
+        """Deliver a message to the ports of this process to which it is addressed.
+
+        age: s, its age
+        """
+        topic = TOPIC_BY_NUMBER.get(envelope.topic)
+        if topic is None:
+            self._counters.malformed += 1
+            return
+        message = Message(
+            topic,
+            envelope.source,
+            envelope.payload,
+            envelope.number,
+            envelope.channel,
+            envelope.flags,
+        )
+        ports = self._bus.ports
+        here: dict[int, None] = {}
+        for j in envelope.to:
+            if j in ports:
+                here[j] = None
+        self._bus.deliver(message, here, age)
 
     def _forbid(self, peer: Peer) -> None:
         """Count a command that is not executed, and log the process once."""

@@ -32,6 +32,8 @@ class PeerQueue:
     """Name of the peer."""
     klass: MessageClass
     """Class of the messages."""
+    is_filled: bool = False
+    """True if there are messages for the next frame."""
 
 
 class FrameOutbox:
@@ -70,14 +72,15 @@ class FrameOutbox:
             self._counters.dropped += 1
             return
         queue = peer.queues.get(klass) or self._open_queue(peer, klass)
-        if not queue.buffer:
-            self._filled.append(queue)
         try:
             queue.buffer.add(message)
         except CodecError as error:
             self._counters.unsendable += 1
             log.warning("not sent: %s", error)
             return
+        if not queue.is_filled:
+            queue.is_filled = True
+            self._filled.append(queue)
         if not self._is_scheduled:
             self._schedule_flush()
 
@@ -95,6 +98,7 @@ class FrameOutbox:
         for queue in peer.queues.values():
             self._counters.dropped += len(queue.buffer)
             queue.buffer.take()
+            queue.is_filled = False
             queue.publisher.undeclare()
 
     def call_before_flush(self, work: Callable[[], None]) -> None:
@@ -124,6 +128,7 @@ class FrameOutbox:
         filled = self._filled
         self._filled = []
         for queue in filled:
+            queue.is_filled = False
             try:
                 frames = queue.buffer.take()
             except CodecError as error:

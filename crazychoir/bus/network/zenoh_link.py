@@ -14,6 +14,7 @@ from dataclasses import replace
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import FRAME_FORMAT, Envelope
+from crazychoir.bus.message import Message
 from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.frame_inbox import FrameInbox
 from crazychoir.bus.network.frame_outbox import FrameOutbox
@@ -95,21 +96,13 @@ class ZenohLink(Actor):
         self.sockets.close()
         await self.session.close()
 
-    def forward(
-        self,
-        topic: Topic,
-        source: int,
-        to: list[int],
-        payload: bytes,
-        number: int,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
+    def forward(self, message: Message, to: list[int], age: float) -> None:
         """Add a message to the frame of each process that holds an address of `to`.
 
         Frames are sent at the end of this pass of the event loop.
         """
+        topic = message.topic
+        age = max(0.0, age)
         directory = self.directory
         groups: dict[Peer | None, list[int]] = {}
         if len(to) == 1:
@@ -123,17 +116,17 @@ class ZenohLink(Actor):
                 continue
             for k in range(0, len(there), FRAME_FORMAT.max_destinations):
                 some = tuple(there[k : k + FRAME_FORMAT.max_destinations])
-                message = Envelope(
+                envelope = Envelope(
                     topic.number,
-                    source,
+                    message.source,
                     some,
-                    number,
-                    flags,
-                    max(0.0, age),
-                    channel,
-                    payload,
+                    message.number,
+                    message.flags,
+                    age,
+                    message.channel,
+                    message.payload,
                 )
-                self.outbox.add(peer, topic.klass, message)
+                self.outbox.add(peer, topic.klass, envelope)
 
     def then(self, work: Callable[[], None]) -> None:
         """Call `work` after the puts at the end of this loop pass, so

@@ -16,9 +16,9 @@ import msgspec
 
 from crazychoir.errors import CodecError, RosterChanged
 from crazychoir.guidance.tasks.task_book import Place, Record, Task, TaskBook, TaskState
+from crazychoir.team.channel_table import FAILURE_CHANNEL
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph
-from crazychoir.team.rounds import FAILURE_CHANNEL
 
 log = logging.getLogger(__name__)
 

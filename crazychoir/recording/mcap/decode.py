@@ -6,7 +6,7 @@ from typing import Any
 
 from crazychoir.errors import ConfigError
 from crazychoir.recording.mcap.cdr import Layout
-from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE
+from crazychoir.recording.mcap.messages import FORM_BY_VALUE_TYPE
 from crazychoir.recording.mcap.reading import STAMP_NUMBERS
 from crazychoir.recording.mcap.sequence import RecordedChannel, RecordedMessage
 
@@ -15,9 +15,7 @@ SKIPPED_PREFIXES = ("header.", "child_frame_id", "pose.covariance", "twist.covar
 Reader = tuple[Layout | None, Callable[[Sequence[Any]], Any]]
 """Layout of a message's numbers if they have fixed places, and the function that makes the value.
 """
-MESSAGE_BY_ROS_TYPE = {
-    message.type: message for message in MESSAGE_BY_VALUE_TYPE.values()
-}
+MESSAGE_BY_ROS_TYPE = {message.type: message for message in FORM_BY_VALUE_TYPE.values()}
 """Messages by their type in the notation of ROS 2."""
 
 

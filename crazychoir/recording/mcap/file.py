@@ -19,7 +19,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from crazychoir.errors import ConfigError, error_text
 from crazychoir.files.path_texts import readable_texts
-from crazychoir.recording.mcap.messages import Message
+from crazychoir.recording.mcap.messages import RecordedForm
 from crazychoir.recording.mcap.writer import McapWriter, Timed
 from crazychoir.runtime.clock import NS_PER_SECOND
 
@@ -57,7 +57,7 @@ class Series:
     """Id of the drone."""
     topic: str
     """Name of the topic."""
-    message: Message
+    message: RecordedForm
     """Type of the messages."""
     id: int = 0
     """Number of its MCAP channel; 0 before its first message is written."""

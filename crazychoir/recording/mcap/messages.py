@@ -69,7 +69,7 @@ class Exchanged(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Message:
+class RecordedForm:
     """The written form of the values of one type."""
 
     name: str
@@ -105,7 +105,7 @@ class Message:
 
 
 @cache
-def _layout(message: Message, drone: int) -> Layout:
+def _layout(message: RecordedForm, drone: int) -> Layout:
     constants = {
         "header.frame_id": "world",
         "child_frame_id": f"drone{drone}",
@@ -119,7 +119,7 @@ Pack = Callable[[Any, int], bytes]
 """Returns the message for a value and the time of its birth, ns."""
 
 
-def make_packer(message: Message, drone: int) -> Pack:
+def make_packer(message: RecordedForm, drone: int) -> Pack:
     """Return the function that makes a message of a value of this drone and the time of its birth."""
     pack = message.layout(drone).pack
     values = message.values
@@ -173,30 +173,32 @@ def _plan_from_json(raw: Mapping[str, Any]) -> Plan:
     )
 
 
-def _array(name: str, kind: Callable[[Vec], Any]) -> Message:
+def _array(name: str, kind: Callable[[Vec], Any]) -> RecordedForm:
     """Return the message of a type that is one array."""
-    return Message(name, lambda value: value.flat.tolist(), lambda x: kind(_vec(x)))
+    return RecordedForm(
+        name, lambda value: value.flat.tolist(), lambda x: kind(_vec(x))
+    )
 
 
-def _record(name: str, kind: Callable[..., Any]) -> Message:
+def _record(name: str, kind: Callable[..., Any]) -> RecordedForm:
     """Return the message of a type with the same fields as the message."""
-    return Message(
+    return RecordedForm(
         name,
         lambda value: [getattr(value, n) for n in value.__struct_fields__],
         lambda x: kind(*x),
     )
 
 
-MESSAGE_BY_VALUE_TYPE: dict[Any, Message] = {
+FORM_BY_VALUE_TYPE: dict[Any, RecordedForm] = {
     Pose: _array("geometry_msgs/PoseStamped", Pose),
-    State: Message("nav_msgs/Odometry", odometry_numbers, state_of),
-    Acceleration: Message(
+    State: RecordedForm("nav_msgs/Odometry", odometry_numbers, state_of),
+    Acceleration: RecordedForm(
         "crazychoir_msgs/Acceleration",
         lambda wanted: (*wanted.a.tolist(), wanted.yaw),
         lambda x: Acceleration(_vec(x[:3]), x[3]),
     ),
     FullState: _array("crazychoir_msgs/FullState", FullState),
-    Goto: Message(
+    Goto: RecordedForm(
         "crazychoir_msgs/Goto",
         lambda wanted: (*map(float, wanted.p), wanted.yaw, wanted.duration),
         lambda x: Goto(_vec(x[:3]), x[3], x[4]),
@@ -204,14 +206,14 @@ MESSAGE_BY_VALUE_TYPE: dict[Any, Message] = {
     FPQR: _array("crazychoir_msgs/FPQR", FPQR),
     FRPY: _array("crazychoir_msgs/FRPY", FRPY),
     Vel: _array("crazychoir_msgs/Vel", Vel),
-    Velocity: Message(
+    Velocity: RecordedForm(
         "crazychoir_msgs/Velocity",
         lambda wanted: (*wanted.v.tolist(), wanted.yaw),
         lambda x: Velocity(_vec(x[:3]), x[3]),
     ),
     Acc: _array("crazychoir_msgs/Acc", Acc),
     Drive: _array("crazychoir_msgs/Drive", Drive),
-    XYZ: Message(
+    XYZ: RecordedForm(
         "crazychoir_msgs/XYZ",
         lambda command: (command.verb, *command.flat.tolist()),
         lambda x: XYZ(x[0], _vec(x[1:])),
@@ -219,14 +221,14 @@ MESSAGE_BY_VALUE_TYPE: dict[Any, Message] = {
     LinkStatus: _record("crazychoir_msgs/LinkStatus", LinkStatus),
     Body: _record("crazychoir_msgs/Body", Body),
     Status: _record("crazychoir_msgs/Status", Status),
-    str: Message("std_msgs/String", lambda line: (line,), lambda x: x[0]),
-    Plan: Message(
+    str: RecordedForm("std_msgs/String", lambda line: (line,), lambda x: x[0]),
+    Plan: RecordedForm(
         "crazychoir_msgs/Value", lambda plan: (in_json(plan),), _value_from_json
     ),
-    dict: Message(
+    dict: RecordedForm(
         "crazychoir_msgs/Value", lambda value: (in_json(value),), _value_from_json
     ),
-    Exchanged: Message("crazychoir_msgs/Round", round_fields),
+    Exchanged: RecordedForm("crazychoir_msgs/Round", round_fields),
 }
 """Messages by the type of a value; any other value is written like a dictionary."""
 

@@ -15,7 +15,7 @@ from crazychoir.bus.topics import TOPIC_BY_NAME
 from crazychoir.errors import ConfigError
 from crazychoir.recording.mcap.cdr import Layout
 from crazychoir.recording.mcap.file import RECORDING_FORMAT
-from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, usual_type
+from crazychoir.recording.mcap.messages import FORM_BY_VALUE_TYPE, usual_type
 from crazychoir.recording.mcap.records import (
     MESSAGE_HEADER,
     RECORDING_HINT,
@@ -259,7 +259,7 @@ class _Series:
         topic = channel.metadata.get("topic", "")
         if topic not in self.topics or channel.id in self._layouts:
             return
-        message = MESSAGE_BY_VALUE_TYPE[usual_type(TOPIC_BY_NAME[topic])]
+        message = FORM_BY_VALUE_TYPE[usual_type(TOPIC_BY_NAME[topic])]
         schema = self._schemas[channel.schema_id]
         if (schema.name, schema.data.decode()) != (message.type, message.schema):
             do = "Plot it with the version that recorded it."

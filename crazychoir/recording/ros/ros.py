@@ -12,7 +12,7 @@ from functools import cache
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.recording.mcap.cdr import Definitions, Layout, Leaf, leaves, schema
 from crazychoir.recording.mcap.definitions import MESSAGE_DEFINITIONS
-from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, in_json
+from crazychoir.recording.mcap.messages import FORM_BY_VALUE_TYPE, in_json
 from crazychoir.recording.mcap.sequence import RecordedMessage
 from crazychoir.types import FullState, State
 
@@ -46,8 +46,8 @@ class RosNames:
 ROS_NAMES = RosNames()
 
 
-REFERENCE_TYPE = MESSAGE_BY_VALUE_TYPE[FullState].type
-STATE_TYPE = MESSAGE_BY_VALUE_TYPE[State].type
+REFERENCE_TYPE = FORM_BY_VALUE_TYPE[FullState].type
+STATE_TYPE = FORM_BY_VALUE_TYPE[State].type
 Numbers = tuple[float, ...]
 
 
@@ -111,7 +111,7 @@ def to_ros_messages(
 def pack_reference_pose(reference: RecordedMessage) -> bytes:
     """Return a geometry_msgs/PoseStamped for a reference: its position, level, with its yaw."""
     x = _stamped_numbers(
-        reference, MESSAGE_BY_VALUE_TYPE[FullState].layout(reference.source.drone)
+        reference, FORM_BY_VALUE_TYPE[FullState].layout(reference.source.drone)
     )
     return _layout(ROS_NAMES.pose_type, "").pack(
         (*x[:5], 0.0, 0.0, math.sin(0.5 * x[14]), math.cos(0.5 * x[14]))
@@ -121,7 +121,7 @@ def pack_reference_pose(reference: RecordedMessage) -> bytes:
 def pack_transform(odometry: RecordedMessage) -> bytes:
     """Return a tf2_msgs/TFMessage for an Odometry: world -> drone."""
     x = _stamped_numbers(
-        odometry, MESSAGE_BY_VALUE_TYPE[State].layout(odometry.source.drone)
+        odometry, FORM_BY_VALUE_TYPE[State].layout(odometry.source.drone)
     )
     return _layout(
         "geometry_msgs/TransformStamped", f"drone{odometry.source.drone}", 1

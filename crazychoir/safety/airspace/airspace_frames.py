@@ -5,6 +5,7 @@ from collections import deque
 import numpy as np
 
 from crazychoir.bus.codec import encode
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import PORT_ADDRESSES, Port
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.runtime.mailbox import Call
@@ -72,7 +73,10 @@ class AirspaceFrames:
             if payload is None:
                 payload = encode(self._rows[due].tobytes())
                 payloads[due.tobytes()] = payload
-            port.send(DRONE_TOPICS.airspace, (address,), payload, self._number)
+            message = Message(
+                DRONE_TOPICS.airspace, port.address, payload, self._number
+            )
+            port.send(message, (address,))
 
     def _fill_rows(self) -> None:
         """Write the newest states of the own drones for the other processes."""

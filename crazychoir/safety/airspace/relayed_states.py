@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.codec import encode
+from crazychoir.bus.message import Message
 from crazychoir.bus.topics import MESSAGE_TOPICS, Topic
 from crazychoir.errors import CodecError
 from crazychoir.safety.airspace.neighbours import Neighbours
@@ -46,20 +47,14 @@ class RelayedStates:
         """Send a list, unless it is empty."""
         if value:
             self._sent += 1
-            self.port.send(topic, (to,), encode(value), self._sent)
+            payload = encode(value)
+            message = Message(topic, self.port.address, payload, self._sent)
+            self.port.send(message, (to,))
 
-    def _asked(
-        self,
-        source: int,
-        payload: bytes,
-        number: int,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
+    def _asked(self, message: Message, age: float) -> None:
         """Answer a question with the usable states of the drones it lists."""
         traffic = self.traffic
-        those = self._opened(payload)
+        those = self._opened(message)
         now = traffic.now()
         told = []
         for j in those if all(type(j) is int for j in those) else self._none():
@@ -67,19 +62,11 @@ class RelayedStates:
             if row is not None and now - row["state_time"] < NEIGHBOUR_AGES.usable:
                 state = State(row["state"].copy(), 0.0, row["acceleration"].copy())
                 told.append([j, state, now - float(row["state_time"])])
-        self._send(MESSAGE_TOPICS.relayed_states, source, told)
+        self._send(MESSAGE_TOPICS.relayed_states, message.source, told)
 
-    def _told(
-        self,
-        source: int,
-        payload: bytes,
-        number: int,
-        channel: str,
-        flags: int,
-        age: float,
-    ) -> None:
+    def _told(self, message: Message, age: float) -> None:
         """Keep the states of an answer."""
-        for item in self._opened(payload):
+        for item in self._opened(message):
             match item:
                 case [int(j), State() as state, float(old)] if (
                     0.0 <= old < NEIGHBOUR_AGES.gone
@@ -88,14 +75,14 @@ class RelayedStates:
                 case _:
                     self._none()
 
-    def _opened(self, payload: bytes) -> list[Any]:
+    def _opened(self, message: Message) -> list[Any]:
         """Return the list in a message.
 
         Returns an empty list, and counts the message as malformed, if it is none or longer than the
         number of drones.
         """
         try:
-            value = decode(payload)
+            value = message.open()
         except CodecError:
             return self._none()
         return (

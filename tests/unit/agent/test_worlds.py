@@ -13,6 +13,7 @@ import pytest
 from crazychoir.agent.agent import Agent, AgentProcess
 from crazychoir.agent.worlds import WORLD_OWNER_RULES, WorldProcess
 from crazychoir.bus.commands import ANSWER_TEXTS, Commander
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.checks import WORLD_URIS
@@ -44,13 +45,9 @@ class Wire:
     def forward(self, topic, source, to, payload, number, channel, flags, age):
         for j in to if not self.torn else ():
             if j in self.there.ports:
-                self.there.ports[j].deliver(
-                    topic.number,
-                    source,
-                    payload,
-                    number,
-                    channel,
-                    flags,
+                self.there.ports[j].bus.deliver(
+                    Message(topic, source, payload, number, channel, flags),
+                    (self.there.ports[j].address,),
                     age + self.late,
                 )
 

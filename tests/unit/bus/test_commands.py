@@ -1,5 +1,6 @@
 import asyncio
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from crazychoir.bus.commands import (
     Commander,
     CommandServer,
 )
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import Refused
@@ -41,25 +43,25 @@ class Swarm:
 
 def losing(port, lose):
     """Lose what arrives at a port where `lose(topic, payload, number)` is true; returns all that came."""
-    deliver, came = port.deliver, []
+    came = []
 
-    def lossy(topic, source, payload, number, *rest):
+    def lossy(handle, message, age):
+        topic, payload = message.topic.number, message.payload
         came.append((topic, payload))
-        if not lose(topic, payload, number):
-            deliver(topic, source, payload, number, *rest)
+        if not lose(topic, payload, message.number):
+            handle(message, age)
 
-    port.deliver = lossy
+    for topic, handle in port.handlers.items():
+        port.handlers[topic] = partial(lossy, handle)
     return came
 
 
 def ask(server, body, number=1, channel="f1", age=0.0):
-    server.port.deliver(
-        MESSAGE_TOPICS.request.number,
-        PORT_ADDRESSES.first_observer,
-        body,
-        number,
-        channel,
-        0,
+    server.port.bus.deliver(
+        Message(
+            MESSAGE_TOPICS.request, PORT_ADDRESSES.first_observer, body, number, channel
+        ),
+        (server.port.address,),
         age,
     )
 
@@ -177,13 +179,15 @@ async def test_equal_numbers_of_other_issuers_and_lives_are_other_requests(clock
     for channel in ("f1", "f2"):
         for _ in range(2):
             ask(swarm.servers[1], encode(["go", {}, 1.0]), 1, channel)
-    swarm.servers[1].port.deliver(
-        MESSAGE_TOPICS.request.number,
-        PORT_ADDRESSES.first_observer + 1,
-        encode(["go", {}, 1.0]),
-        1,
-        "f1",
-        0,
+    swarm.servers[1].port.bus.deliver(
+        Message(
+            MESSAGE_TOPICS.request,
+            PORT_ADDRESSES.first_observer + 1,
+            encode(["go", {}, 1.0]),
+            1,
+            "f1",
+        ),
+        (swarm.servers[1].port.address,),
         0.0,
     )
     await clock.sleep(0.1)
@@ -256,8 +260,10 @@ async def test_malformed_requests_and_answers_are_counted(clock):
     await clock.sleep(0.1)
     assert (swarm.done, swarm.servers[1].port.counters.malformed) == ([], 7)
     for body in (b"\xff", encode(3), encode([1, 2, 3])):
-        swarm.operator.port.deliver(
-            MESSAGE_TOPICS.answer.number, 1, body, 1, "f1", 0, 0.0
+        swarm.operator.port.bus.deliver(
+            Message(MESSAGE_TOPICS.answer, 1, body, 1, "f1"),
+            (swarm.operator.port.address,),
+            0.0,
         )
     assert swarm.operator.port.counters.malformed == 3
 
@@ -267,22 +273,14 @@ async def test_answers_to_a_former_life_of_the_operator_are_not_taken(clock):
     swarm = Swarm(clock)
     request = asyncio.create_task(swarm.operator.request(1, "go", deadline=1.0))
     await clock.sleep(0.1)
-    swarm.operator.port.deliver(
-        MESSAGE_TOPICS.answer.number,
-        1,
-        encode([ANSWER_TEXTS.done, "old"]),
-        1,
-        "f0",
-        0,
+    swarm.operator.port.bus.deliver(
+        Message(MESSAGE_TOPICS.answer, 1, encode([ANSWER_TEXTS.done, "old"]), 1, "f0"),
+        (swarm.operator.port.address,),
         0.0,
     )
-    swarm.operator.port.deliver(
-        MESSAGE_TOPICS.answer.number,
-        1,
-        encode([ANSWER_TEXTS.done, "now"]),
-        1,
-        "f1",
-        0,
+    swarm.operator.port.bus.deliver(
+        Message(MESSAGE_TOPICS.answer, 1, encode([ANSWER_TEXTS.done, "now"]), 1, "f1"),
+        (swarm.operator.port.address,),
         0.0,
     )
     assert await request == Answer(1, ANSWER_TEXTS.done, "now")
@@ -294,8 +292,10 @@ async def test_an_answer_from_another_drone_is_ignored(clock):
     request = asyncio.create_task(swarm.operator.request(1, "land", deadline=1.0))
     await clock.sleep(0.1)
     for kind in (ANSWER_TEXTS.accepted, ANSWER_TEXTS.done, ANSWER_TEXTS.refused):
-        swarm.operator.port.deliver(
-            MESSAGE_TOPICS.answer.number, 2, encode([kind, None]), 1, "f1", 0, 0.0
+        swarm.operator.port.bus.deliver(
+            Message(MESSAGE_TOPICS.answer, 2, encode([kind, None]), 1, "f1"),
+            (swarm.operator.port.address,),
+            0.0,
         )
     with pytest.raises(TimeoutError, match="drone 1: no answer to 'land'"):
         await request
@@ -357,13 +357,15 @@ async def test_a_stop_persists_over_a_restart(clock):
 async def test_a_late_repeat_of_a_clear_does_not_undo_a_later_stop(clock):
     swarm = Swarm(clock, 1)
     for number, clear in [(1, False), (2, True), (3, False), (2, True), (1, False)]:
-        swarm.servers[1].port.deliver(
-            MESSAGE_TOPICS.emergency_stop.number,
-            PORT_ADDRESSES.first_observer,
-            encode(clear),
-            number,
-            "f1",
-            0,
+        swarm.servers[1].port.bus.deliver(
+            Message(
+                MESSAGE_TOPICS.emergency_stop,
+                PORT_ADDRESSES.first_observer,
+                encode(clear),
+                number,
+                "f1",
+            ),
+            (swarm.servers[1].port.address,),
             0.0,
         )
     assert swarm.bus.stopped
@@ -383,13 +385,15 @@ async def test_a_clear_that_comes_after_a_newer_stop_does_not_count_nor_a_stop_a
     }
 
     def hear(number, what, channel="f1"):
-        swarm.servers[1].port.deliver(
-            MESSAGE_TOPICS.emergency_stop.number,
-            PORT_ADDRESSES.first_observer,
-            said[what],
-            number,
-            channel,
-            0,
+        swarm.servers[1].port.bus.deliver(
+            Message(
+                MESSAGE_TOPICS.emergency_stop,
+                PORT_ADDRESSES.first_observer,
+                said[what],
+                number,
+                channel,
+            ),
+            (swarm.servers[1].port.address,),
             0.0,
         )
 
@@ -430,13 +434,15 @@ async def test_a_stop_that_cannot_be_read_is_a_stop(clock):
     swarm = Swarm(clock, 1)
     for number, payload in enumerate([b"\xff", encode(1), encode("clear")]):
         swarm.bus.stopped = False
-        swarm.servers[1].port.deliver(
-            MESSAGE_TOPICS.emergency_stop.number,
-            PORT_ADDRESSES.first_observer,
-            payload,
-            number,
-            "f1",
-            0,
+        swarm.servers[1].port.bus.deliver(
+            Message(
+                MESSAGE_TOPICS.emergency_stop,
+                PORT_ADDRESSES.first_observer,
+                payload,
+                number,
+                "f1",
+            ),
+            (swarm.servers[1].port.address,),
             0.0,
         )
         assert swarm.bus.stopped

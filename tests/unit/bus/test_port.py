@@ -2,12 +2,14 @@ from unittest.mock import patch
 
 import numpy as np
 import pytest
+from message_parts import list_parts, taking_parts
 from virtual_time import virtual
 
 from crazychoir.bus import port as local
 from crazychoir.bus.codec import encode
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import PORT_ADDRESSES, Bus, Interest
 from crazychoir.bus.topics import (
     ALL_TOPICS,
@@ -38,7 +40,7 @@ def reading(bus, topic, source, reader, rate=0.0):
 def handling(port, topic):
     """What arrives for a handler."""
     seen = []
-    port.handlers[topic.number] = lambda *message: seen.append(message)
+    port.handlers[topic.number] = taking_parts(lambda *message: seen.append(message))
     return seen
 
 
@@ -94,10 +96,9 @@ class Network:
     def __init__(self):
         self.messages, self.changes, self.later = [], 0, []
 
-    def forward(self, topic, source, to, payload, number, channel, flags, age):
-        self.messages.append(
-            (topic.name, source, to, payload, number, channel, flags, age)
-        )
+    def forward(self, message, to, age):
+        source, *parts = list_parts(message, age)
+        self.messages.append((message.topic.name, source, to, *parts))
 
     def then(self, work):
         self.later.append(work)
@@ -192,7 +193,9 @@ async def test_send_reaches_handlers_here_and_the_forwarder_elsewhere(clock):
     bus, one, two, three = ports(clock, 1, 2, 3)
     bus.forwarder = Network()
     seen = [handling(port, MESSAGE_TOPICS.rounds) for port in (two, three)]
-    one.send(MESSAGE_TOPICS.rounds, (2, 3, 7, 8), b"xy", 5, "main", 4)
+    one.send(
+        Message(MESSAGE_TOPICS.rounds, one.address, b"xy", 5, "main", 4), (2, 3, 7, 8)
+    )
     assert bus.forwarder.messages == [("round", 1, [7, 8], b"xy", 5, "main", 4, 0.0)]
     assert seen == [[], []], "what others wait for leaves first"
     for work in bus.forwarder.later:
@@ -206,14 +209,14 @@ async def test_what_is_no_round_reaches_handlers_here_at_once(clock):
     bus, one, two = ports(clock, 1, 2)
     bus.forwarder = Network()
     seen = handling(two, MESSAGE_TOPICS.roster)
-    one.send(MESSAGE_TOPICS.roster, (2, 7), b"xy")
+    one.send(Message(MESSAGE_TOPICS.roster, one.address, b"xy"), (2, 7))
     assert (len(seen), len(bus.forwarder.messages), bus.forwarder.later) == (1, 1, [])
 
 
 @virtual
 async def test_what_has_no_way_is_counted(clock):
     bus, one = ports(clock, 1)
-    one.send(MESSAGE_TOPICS.rounds, (7, 8), b"")
+    one.send(Message(MESSAGE_TOPICS.rounds, one.address, b""), (7, 8))
     assert bus.unroutable == 2
 
 
@@ -240,8 +243,8 @@ async def test_impairment_is_on_impaired_topics_alone(clock):
         handling(two, MESSAGE_TOPICS.request),
         reading(bus, DRONE_TOPICS.truth, 1, 2),
     )
-    one.send(MESSAGE_TOPICS.rounds, (2,), b"")
-    one.send(MESSAGE_TOPICS.request, (2,), b"")
+    one.send(Message(MESSAGE_TOPICS.rounds, one.address, b""), (2,))
+    one.send(Message(MESSAGE_TOPICS.request, one.address, b""), (2,))
     one.publish(DRONE_TOPICS.truth, State.at((0, 0, 0)))
     assert (len(rounds), len(requests), truth.received, one.counters.lost) == (
         0,
@@ -261,7 +264,7 @@ async def test_a_delayed_message_arrives_later_and_older(clock):
         handling(two, MESSAGE_TOPICS.rounds),
     )
     one.publish(DRONE_TOPICS.state, State.at((1, 2, 3)), age=0.01)
-    one.send(MESSAGE_TOPICS.rounds, (2,), b"", 1)
+    one.send(Message(MESSAGE_TOPICS.rounds, one.address, b"", 1), (2,))
     await clock.sleep(0.049)
     assert (box.received, seen) == (0, [])
     await clock.sleep(0.002)
@@ -279,7 +282,7 @@ async def test_duplicates_arrive_twice_and_each_receiver_has_a_fate_of_its_own(c
         impairment=Impairment(1, [ImpairmentRule({"duplicate": 1.0}, edge=(1, 2))]),
     )
     seen = [handling(port, MESSAGE_TOPICS.rounds) for port in (two, three)]
-    one.send(MESSAGE_TOPICS.rounds, (2, 3), b"")
+    one.send(Message(MESSAGE_TOPICS.rounds, one.address, b""), (2, 3))
     await clock.sleep(0.01)
     assert [len(messages) for messages in seen] == [2, 1]
 
@@ -290,7 +293,11 @@ async def test_verdicts_are_those_of_number_channel_and_attempt(clock):
     _, one, two = ports(clock, 1, 2, impairment=impairment)
     seen = handling(two, MESSAGE_TOPICS.rounds)
     for number in range(40):
-        one.send(MESSAGE_TOPICS.rounds, (2,), b"", number, "main", 0, number % 3)
+        one.send(
+            Message(MESSAGE_TOPICS.rounds, one.address, b"", number, "main", 0),
+            (2,),
+            number % 3,
+        )
     fresh = Impairment(5, [ImpairmentRule({"loss": 0.5})])
     wanted = [
         k for k in range(40) if fresh.verdict(1, 2, "main", k, k % 3, 0, 0.0).deliveries
@@ -307,7 +314,7 @@ async def test_partitions_count_from_go(clock):
     )
     seen = handling(two, MESSAGE_TOPICS.rounds)
     for number in range(6):
-        one.send(MESSAGE_TOPICS.rounds, (2,), b"", number)
+        one.send(Message(MESSAGE_TOPICS.rounds, one.address, b"", number), (2,))
         await clock.sleep(0.5)
     assert [message[2] for message in seen] == [0, 1, 4, 5]
 
@@ -489,7 +496,7 @@ async def test_a_drone_that_crashes_is_silent_and_keeps_its_readers_when_it_is_b
     back = reading(bus, DRONE_TOPICS.state, 2, 1)
     bus.close(1)
     two.publish(DRONE_TOPICS.state, State.at((0, 0, 0)))
-    two.send(MESSAGE_TOPICS.rounds, (1,), b"")
+    two.send(Message(MESSAGE_TOPICS.rounds, two.address, b""), (1,))
     assert (back.received, bus.unroutable) == (0, 2)
     again = bus.port(1, incarnation=2)
     again.publish(DRONE_TOPICS.state, State.at((1, 2, 3)))
@@ -520,7 +527,7 @@ def test_what_is_not_a_state_is_counted_and_goes_nowhere(payload):
     async def check(clock):
         bus, _, two = ports(clock, 1, 2)
         box = reading(bus, DRONE_TOPICS.state, 1, 2)
-        two.deliver(DRONE_TOPICS.state.number, 1, payload, 0, "", 0, 0.0)
+        two.bus.deliver(Message(DRONE_TOPICS.state, 1, payload), (two.address,), 0.0)
         assert (box.received, two.counters.malformed, two.counters.received) == (
             0,
             1,
@@ -534,10 +541,9 @@ def test_what_is_not_a_state_is_counted_and_goes_nowhere(payload):
 async def test_a_value_without_a_reader_is_not_decoded(clock):
     bus, _, two, _ = ports(clock, 1, 2, 3)
     reading(bus, DRONE_TOPICS.state, 3, 2)
-    two.deliver(DRONE_TOPICS.state.number, 1, b"\xff", 0, "", 0, 0.0)
-    two.deliver(DRONE_TOPICS.pose.number, 1, b"\xff", 0, "", 0, 0.0)
-    two.deliver(9999, 1, b"\xff", 0, "", 0, 0.0)
-    assert (two.counters.malformed, two.counters.received) == (0, 3)
+    two.bus.deliver(Message(DRONE_TOPICS.state, 1, b"\xff"), (two.address,), 0.0)
+    two.bus.deliver(Message(DRONE_TOPICS.pose, 1, b"\xff"), (two.address,), 0.0)
+    assert (two.counters.malformed, two.counters.received) == (0, 2)
 
 
 @virtual
@@ -545,7 +551,9 @@ async def test_untyped_topics_take_any_value(clock):
     bus, _, two = ports(clock, 1, 2)
     box = Latest(clock)
     bus.subscribe(MESSAGE_TOPICS.heartbeat, 1, 2, box)
-    two.deliver(MESSAGE_TOPICS.heartbeat.number, 1, encode([1, "a"]), 0, "", 0, 0.1)
+    two.bus.deliver(
+        Message(MESSAGE_TOPICS.heartbeat, 1, encode([1, "a"])), (two.address,), 0.1
+    )
     assert box.peek() == [1, "a"]
 
 
@@ -563,10 +571,14 @@ async def test_the_tap_sees_every_message_between_drones(clock):
     bus, one, _ = ports(clock, 1, 2)
     reading(bus, DRONE_TOPICS.state, 1, 1)
     seen = []
-    bus.tap = lambda *message: seen.append(message)
+    bus.tap = lambda to, message, age: seen.append(
+        (to, message.topic, *list_parts(message, age))
+    )
     one.publish(DRONE_TOPICS.state, State.at((1, 2, 3)))
-    one.send(MESSAGE_TOPICS.rounds, (2,), b"xy", 5, "sum", 9, age=0.25)
-    assert seen == [(2, MESSAGE_TOPICS.rounds.number, 1, 5, b"xy", "sum", 9, 0.25)]
+    one.send(
+        Message(MESSAGE_TOPICS.rounds, one.address, b"xy", 5, "sum", 9), (2,), age=0.25
+    )
+    assert seen == [(2, MESSAGE_TOPICS.rounds, 1, b"xy", 5, "sum", 9, 0.25)]
 
 
 @virtual

@@ -1,10 +1,12 @@
 import asyncio
 
 import pytest
+from message_parts import taking_parts
 from virtual_time import virtual
 
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import Bus
 from crazychoir.bus.presence import Presence, PresenceMonitor
 from crazychoir.bus.topics import MESSAGE_TOPICS
@@ -148,7 +150,9 @@ async def test_any_message_is_a_sign_of_life(clock):
     await clock.sleep(1.0)
     await team.stop(2)
     for k in range(40):
-        team.bus.ports[2].send(MESSAGE_TOPICS.rounds, (1,), b"", k)
+        team.bus.ports[2].send(
+            Message(MESSAGE_TOPICS.rounds, team.bus.ports[2].address, b"", k), (1,)
+        )
         await clock.sleep(0.25)
     assert [state for _, _, state in team.diaries[1]] == [ALIVE]
 
@@ -259,8 +263,8 @@ async def test_a_drone_may_be_heard_before_its_first_message(clock):
 async def test_heartbeats_carry_what_beat_says_and_are_numbered(clock):
     bus = Bus(clock)
     seen, beats = [], iter([b"1", b"2", b"3", b"4", b"5"])
-    bus.port(2).handlers[MESSAGE_TOPICS.heartbeat.number] = lambda *message: (
-        seen.append(message[2:4])
+    bus.port(2).handlers[MESSAGE_TOPICS.heartbeat.number] = taking_parts(
+        lambda *message: seen.append(message[2:4])
     )
     monitor = PresenceMonitor(bus.port(1), (2,), lambda: next(beats))
     running = asyncio.create_task(monitor.run())

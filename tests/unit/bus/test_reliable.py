@@ -3,6 +3,7 @@ from virtual_time import virtual
 
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import Bus
 from crazychoir.bus.reliable import RELIABLE_LIMITS, Reliable
 from crazychoir.bus.topics import MESSAGE_TOPICS
@@ -144,8 +145,14 @@ async def test_what_arrives_late_of_a_former_life_changes_nothing(clock):
     one.send(MESSAGE_TOPICS.roster, 2, b"old")
     anew = Reliable(bus.port(1, 0xA2))
     anew.send(MESSAGE_TOPICS.roster, 2, b"new")
-    two.port.deliver(MESSAGE_TOPICS.roster.number, 1, b"old again", 1, "a1", 0, 0.0)
-    two.port.deliver(MESSAGE_TOPICS.roster.number, 1, b"new", 0, "a2", 0, 0.0)
+    two.port.bus.deliver(
+        Message(MESSAGE_TOPICS.roster, 1, b"old again", 1, "a1"),
+        (two.port.address,),
+        0.0,
+    )
+    two.port.bus.deliver(
+        Message(MESSAGE_TOPICS.roster, 1, b"new", 0, "a2"), (two.port.address,), 0.0
+    )
     anew.send(MESSAGE_TOPICS.roster, 2, b"newer")
     assert seen == [b"old", b"new", b"newer"]
 
@@ -154,9 +161,11 @@ async def test_what_arrives_late_of_a_former_life_changes_nothing(clock):
 async def test_acknowledgements_of_a_former_life_count_for_nothing(clock):
     _, one, _, _ = pair(clock, Impairment(1, [ImpairmentRule({"loss": 1.0})]))
     one.send(MESSAGE_TOPICS.roster, 2, b"x")
-    one._acknowledged(2, b"", 9, "other life", 0, 0.0)
+    one._acknowledged(
+        Message(MESSAGE_TOPICS.acknowledgement, 2, b"", 9, "other life"), 0.0
+    )
     assert list(one._outgoing[2].pending) == [0]
-    one._acknowledged(2, b"", 1, "a1", 0, 0.0)
+    one._acknowledged(Message(MESSAGE_TOPICS.acknowledgement, 2, b"", 1, "a1"), 0.0)
     assert list(one._outgoing[2].pending) == []
 
 
@@ -211,9 +220,13 @@ async def test_a_burst_of_losses_ends_though_a_message_was_given_up_in_it(clock)
 @virtual
 async def test_what_came_early_of_a_sequence_that_was_given_up_is_forgotten(clock):
     _, _, two, seen = pair(clock)
-    two.port.deliver(MESSAGE_TOPICS.roster.number, 1, b"2", 2, "a1", 2, 0.0)
+    two.port.bus.deliver(
+        Message(MESSAGE_TOPICS.roster, 1, b"2", 2, "a1", 2), (two.port.address,), 0.0
+    )
     assert (seen, list(two._incoming[1].early)) == ([], [2])
-    two.port.deliver(MESSAGE_TOPICS.roster.number, 1, b"5", 5, "a1", 0, 0.0)
+    two.port.bus.deliver(
+        Message(MESSAGE_TOPICS.roster, 1, b"5", 5, "a1"), (two.port.address,), 0.0
+    )
     assert (seen, two._incoming[1].early) == ([b"5"], {})
 
 
@@ -261,15 +274,16 @@ async def test_answers_from_within_the_receiver(clock):
 async def test_an_acknowledgement_of_all_during_a_resend_ends_the_resending(clock):
     """Messages 1 to 3 are there already; the resent 0 is answered with an acknowledgement of all four."""
     _, one, _, seen = pair(clock)
-    deliver, lost = one.port.bus.ports[2].deliver, []
+    handlers = one.port.bus.ports[2].handlers
+    handle, lost = handlers[MESSAGE_TOPICS.roster.number], []
 
-    def lossy(topic, source, payload, number, *rest):
-        if number == 0 and not lost:
-            lost.append(payload)
+    def lossy(message, age):
+        if message.number == 0 and not lost:
+            lost.append(message)
         else:
-            deliver(topic, source, payload, number, *rest)
+            handle(message, age)
 
-    one.port.bus.ports[2].deliver = lossy
+    handlers[MESSAGE_TOPICS.roster.number] = lossy
     for payload in numbers(4):
         one.send(MESSAGE_TOPICS.roster, 2, payload)
     assert seen == []
@@ -281,8 +295,10 @@ async def test_an_acknowledgement_of_all_during_a_resend_ends_the_resending(cloc
 async def test_a_sender_that_restarts_again_and_again_takes_no_memory(clock):
     bus, _, two, seen = pair(clock)
     for life in range(10_000):
-        bus.ports[2].deliver(
-            MESSAGE_TOPICS.roster.number, 1, b"x", 0, f"{life:x}", 0, 0.0
+        bus.ports[2].bus.deliver(
+            Message(MESSAGE_TOPICS.roster, 1, b"x", 0, f"{life:x}"),
+            (bus.ports[2].address,),
+            0.0,
         )
     assert len(seen) == 10_000
     assert len(two._incoming[1].former) == RELIABLE_LIMITS.former_incarnations

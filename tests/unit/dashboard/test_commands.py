@@ -1,5 +1,6 @@
 import asyncio
 
+from message_parts import taking_parts
 from virtual_time import virtual
 
 from crazychoir.bus.commands import (
@@ -498,9 +499,11 @@ async def test_an_acceptance_is_told_once_however_often_the_drone_says_so(clock)
     swarm, told = Swarm(clock), []
     port = swarm.bus.ports[0]
     handle = port.handlers[MESSAGE_TOPICS.request.number]
-    port.handlers[MESSAGE_TOPICS.request.number] = lambda *message: (
-        handle(*message),
-        handle(*message),
+    port.handlers[MESSAGE_TOPICS.request.number] = taking_parts(
+        lambda *message: (
+            handle(*message),
+            handle(*message),
+        )
     )
     await swarm.commander.request(0, "land", 5.0, lambda: told.append(clock.now()))
     assert len(told) == 1

@@ -15,7 +15,7 @@ from crazychoir.launch.recording import (
     make_recording,
 )
 from crazychoir.recording.mcap.file import RecordingEntry, Series
-from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
+from crazychoir.recording.mcap.messages import FORM_BY_VALUE_TYPE, make_packer
 from crazychoir.recording.mcap.reading import read_header
 
 MISSION = """
@@ -85,7 +85,7 @@ def test_those_of_a_recording_are_compared_with_those_of_now(flown, tmp_path):
     config, mission = flown
     file, message = (
         make_recording(tmp_path / "a.mcap", config, mission, virtual=True),
-        MESSAGE_BY_VALUE_TYPE[str],
+        FORM_BY_VALUE_TYPE[str],
     )
     file.write(
         [

@@ -11,6 +11,7 @@ from ros2_decoders import by_mcap_ros2, by_rosbags
 from virtual_time import virtual
 
 from crazychoir.bus.codec import encode
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import (
     DRONE_TOPICS,
@@ -189,7 +190,17 @@ def test_each_type_of_a_topic_has_messages_of_its_own(tmp_path):
 def test_rounds_are_recorded_under_their_sender(tmp_path):
     async def work(clock, bus):
         flags = 1 << EPOCH_SHIFT
-        bus.ports[0].send(MESSAGE_TOPICS.rounds, (1,), encode([1, 2]), 5, "sum", flags)
+        bus.ports[0].send(
+            Message(
+                MESSAGE_TOPICS.rounds,
+                bus.ports[0].address,
+                encode([1, 2]),
+                5,
+                "sum",
+                flags,
+            ),
+            (1,),
+        )
 
     path = tmp_path / "a.mcap"
     recorded(path, work)
@@ -212,7 +223,7 @@ async def test_no_message_between_drones_is_numbered_otherwise(clock):
     bus = Bus(clock)
     one, other = bus.port(0), bus.port(1)
     seen = []
-    bus.tap = lambda *message: seen.append(message)
+    bus.tap = lambda to, message, age: seen.append(message)
 
     class File:
         error = ""
@@ -222,7 +233,7 @@ async def test_no_message_between_drones_is_numbered_otherwise(clock):
     assert seen == []
     bus.subscribe(DRONE_TOPICS.state, 0, 1, module.Call(clock, lambda value, age: None))
     one.publish(DRONE_TOPICS.state, State.at((0, 0, 0)))
-    assert [message[3] for message in seen] == [1]
+    assert [message.number for message in seen] == [1]
     assert (one.counters.sent, other.counters.received) == (1, 1)
 
 
@@ -233,7 +244,11 @@ def test_unwritable_messages_are_counted_as_lost_and_the_rest_is_recorded(
         port = bus.ports[0]
         port.publish(DRONE_TOPICS.status, Status("x", round=1 << 70))
         port.publish(DRONE_TOPICS.state, State(np.zeros(2)))
-        port.deliver(MESSAGE_TOPICS.rounds.number, 1, b"\xff\xff", 0, "sum", 0, 0.0)
+        port.bus.deliver(
+            Message(MESSAGE_TOPICS.rounds, 1, b"\xff\xff", 0, "sum"),
+            (port.address,),
+            0.0,
+        )
         port.publish(DRONE_TOPICS.state, State.at((0, 0, 0)), float("inf"))
         port.publish(DRONE_TOPICS.log, "fine")
 
@@ -253,13 +268,16 @@ def test_what_the_network_did_not_bring_is_counted(tmp_path):
 
     async def work(clock, bus):
         state, link = encode(State.at((0, 0, 0))), encode(LinkStatus("up"))
-        say = bus.ports[PORT_ADDRESSES.first_observer].deliver
+
+        def say(*parts):
+            bus.deliver(Message(*parts), (PORT_ADDRESSES.first_observer,), 0.0)
+
         for number in (7, 8, 11, 1, 2, 4):  # 9, 10 and 3 are not there
-            say(DRONE_TOPICS.state.number, 0, state, number, "", 0, 0.0)
-        say(DRONE_TOPICS.state.number, 1, state, 100, "", 0, 0.0)
-        say(DRONE_TOPICS.state.number, 1, state, 101, "", 0, 0.0)
+            say(DRONE_TOPICS.state, 0, state, number)
+        say(DRONE_TOPICS.state, 1, state, 100)
+        say(DRONE_TOPICS.state, 1, state, 101)
         for number in (0, 3, 4):
-            say(DRONE_TOPICS.link.number, 1, link, number, "", 0, 0.0)
+            say(DRONE_TOPICS.link, 1, link, number)
 
     path = tmp_path / "a.mcap"
     result = recorded(path, work, PORT_ADDRESSES.first_observer)

@@ -11,7 +11,7 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
+from crazychoir.recording.mcap.messages import FORM_BY_VALUE_TYPE, make_packer
 from crazychoir.recording.replay import replayed_states
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.simulation.engines import make_worlds
@@ -31,8 +31,8 @@ def recorded(path, topic=State, name="truth", drone=4):
     """A flight of two seconds along x, with its truth at 20 Hz, from 0.3 s after the begin of the recording on."""
     file = RecordingFile(path, {"version": "1"}, "{}", False)
     series, other = (
-        Series(drone, name, MESSAGE_BY_VALUE_TYPE[topic]),
-        Series(2, "truth", MESSAGE_BY_VALUE_TYPE[State]),
+        Series(drone, name, FORM_BY_VALUE_TYPE[topic]),
+        Series(2, "truth", FORM_BY_VALUE_TYPE[State]),
     )
     pack, also = make_packer(series.message, drone), make_packer(other.message, 2)
     entries = [RecordingEntry(other, 0, 0, also(State.at((9, 9, 9)), 0))]

@@ -9,7 +9,7 @@ from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
 from crazychoir.recording.mcap.messages import (
-    MESSAGE_BY_VALUE_TYPE,
+    FORM_BY_VALUE_TYPE,
     Exchanged,
     make_packer,
 )
@@ -28,7 +28,7 @@ def path(tmp_path):
     path = tmp_path / "a.mcap"
     file, entries = RecordingFile(path, {"version": "1"}, "{}", False), []
     series = {
-        name: Series(3, name, MESSAGE_BY_VALUE_TYPE[kind])
+        name: Series(3, name, FORM_BY_VALUE_TYPE[kind])
         for name, kind in (
             ("state", State),
             ("truth", State),
@@ -128,7 +128,7 @@ def test_all_types_of_a_topic_are_published_on_it_for_unopened_drones(tmp_path):
         ("command", FPQR(np.arange(4.0))),
         ("command/vel", Vel(np.arange(4.0) + 5.0)),
     ):
-        series = Series(3, name, MESSAGE_BY_VALUE_TYPE[type(value)])
+        series = Series(3, name, FORM_BY_VALUE_TYPE[type(value)])
         entries.append(
             RecordingEntry(
                 series,

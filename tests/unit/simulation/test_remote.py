@@ -5,10 +5,12 @@ from functools import partial
 
 import numpy as np
 import pytest
+from message_parts import taking_parts
 from robots import world_of
 from virtual_time import virtual
 
 from crazychoir.bus.codec import encode
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
 from crazychoir.config.checks import WORLD_URIS
@@ -129,8 +131,14 @@ async def test_other_senders_are_ignored_and_invalid_commands_are_counted(clock)
         (pair.drone, b"\xff"),
     ]
     for port, payload in wrong:
-        port.send(DRONE_TOPICS.command, (PORT_ADDRESSES.body_offset + 3,), payload)
-    other.send(MESSAGE_TOPICS.cut, (PORT_ADDRESSES.body_offset + 3,), encode(None))
+        port.send(
+            Message(DRONE_TOPICS.command, port.address, payload),
+            (PORT_ADDRESSES.body_offset + 3,),
+        )
+    other.send(
+        Message(MESSAGE_TOPICS.cut, other.address, encode(None)),
+        (PORT_ADDRESSES.body_offset + 3,),
+    )
     assert pair.there.counters.malformed == len(wrong)
     assert pair.thrust == PAPER_PLATFORM.weight, "it hovers, as it did"
     assert pair.obeyed == []
@@ -142,8 +150,8 @@ async def test_other_senders_are_ignored_and_invalid_commands_are_counted(clock)
 async def test_a_cut_goes_out_again_with_each_tick(clock):
     pair = Pair(clock)
     cuts = []
-    pair.there.handlers[MESSAGE_TOPICS.cut.number] = lambda *message: cuts.append(
-        message[0]
+    pair.there.handlers[MESSAGE_TOPICS.cut.number] = taking_parts(
+        lambda *message: cuts.append(message[0])
     )
     pair.link.cut()
     pair.link.send(HOVER)

@@ -8,6 +8,7 @@ from living import LOSSY, Team, as_graph_says, counting, formed, settled, team
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import PeerLost, RosterChanged
@@ -34,18 +35,20 @@ def test_strange_heartbeats_and_rosters_are_counted():
             encode(["x", 0, 0, [], [], "", "", 0]),
         ]
         for payload in strange:
-            port.deliver(MESSAGE_TOPICS.heartbeat.number, 1, payload, 1, "", 0, 0.0)
+            port.bus.deliver(
+                Message(MESSAGE_TOPICS.heartbeat, 1, payload, 1), (port.address,), 0.0
+            )
         for n, payload in enumerate(
             [*strange[:3], encode({"epoch": 1}), encode(["x"])]
         ):
-            port.deliver(MESSAGE_TOPICS.roster.number, 1, payload, n, "1", 0, 0.0)
-        port.deliver(
-            MESSAGE_TOPICS.heartbeat.number,
-            77,
-            encode([1, 1, 0, [], [], "abc", "", 0]),
-            1,
-            "",
-            0,
+            port.bus.deliver(
+                Message(MESSAGE_TOPICS.roster, 1, payload, n, "1"), (port.address,), 0.0
+            )
+        port.bus.deliver(
+            Message(
+                MESSAGE_TOPICS.heartbeat, 77, encode([1, 1, 0, [], [], "abc", "", 0]), 1
+            ),
+            (port.address,),
             0.0,
         )
         assert not barrier.presence.beats
@@ -292,12 +295,10 @@ def test_a_member_restarted_in_its_own_process_is_told_the_mission_age(again):
         buses = {i: Bus(clock) for i in ids}
 
         class Wire:
-            def forward(self, topic, source, to, payload, number, channel, flags, age):
+            def forward(self, message, to, age):
                 for j in to:
                     if j in buses[j].ports:
-                        buses[j].ports[j].deliver(
-                            topic.number, source, payload, number, channel, flags, age
-                        )
+                        buses[j].deliver(message, (j,), age)
 
             def interested(self) -> None: ...
 

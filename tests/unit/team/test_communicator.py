@@ -11,6 +11,7 @@ import pytest
 from crazychoir.bus.codec import encode
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import (
@@ -26,6 +27,7 @@ from crazychoir.runtime.clock import Clock, run_virtual, run_wall
 from crazychoir.team import graph as graphs
 from crazychoir.team.algorithm_run import run_algorithm
 from crazychoir.team.channel import ROUND_WINDOW
+from crazychoir.team.channel_table import CHANNEL_LIMITS, FAILURE_CHANNEL
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import Graph, GraphSequence, metropolis
 from crazychoir.team.message_kind import (
@@ -34,11 +36,9 @@ from crazychoir.team.message_kind import (
     MessageKind,
     join_contents,
 )
-from crazychoir.team.rounds import (
-    FAILURE_CHANNEL,
-    LONGEST_UNCHECKED,
-    ROUND_LIMITS,
-)
+from crazychoir.team.round_arrivals import EARLY_LIMITS, FIRST_REFUSED_ROUND
+from crazychoir.team.round_sender import MOST_DOUBLE_BYTES
+from crazychoir.team.round_waits import LONGEST_UNCHECKED
 from crazychoir.types import Failure, PerNeighbor
 
 BAD = {
@@ -71,6 +71,16 @@ def swarm(
         return dict(zip([i for i in graph.ids if i not in gone], found, strict=True))
 
     return run_virtual(main)
+
+
+def begin_epoch(
+    c: Communicator,
+    gone: tuple[int, ...],
+    epoch: int,
+    joined: tuple[int, ...] = (),
+) -> None:
+    c.exchange.table.begin_epoch(epoch, gone, joined)
+    c.exchange.arrivals.replay()
 
 
 def loss(p: float, **more: float) -> list[ImpairmentRule]:
@@ -242,12 +252,16 @@ def test_a_sender_keeps_messages_that_were_not_yet_requested():
     async def agent(c: Communicator) -> list[int]:
         send = c.port.send
         if c.id == 0:
-            c.port.send = lambda *m: send(*m) if m[3] != 60 or len(m) > 6 else None  # type: ignore[method-assign]
+            c.port.send = lambda message, to, *attempt: (  # type: ignore[method-assign]
+                send(message, to, *attempt) if message.number != 60 or attempt else None
+            )
             for k in range(ROUND_WINDOW.kept_rounds + 6):
                 await c.send(k)
             return []
-        c.port.send = lambda *m: (
-            send(*m) if m[5] & KIND_MASK != MessageKind.CREDIT else None
+        c.port.send = lambda message, to, *attempt: (
+            send(message, to, *attempt)
+            if message.flags & KIND_MASK != MessageKind.CREDIT
+            else None
         )  # type: ignore[method-assign]
         await c.port.bus.clock.sleep(0.1)
         return [
@@ -455,7 +469,9 @@ def test_what_a_reader_lacks_is_asked_for():
         if c.id == 0:
             send, c.port.send = (
                 c.port.send,
-                lambda *m: send(*m) if len(m) > 6 and m[6] else None,
+                lambda message, to, attempt=0: (
+                    send(message, to, attempt) if attempt else None
+                ),
             )  # type: ignore[method-assign]
         return [await c.neighbors_exchange(k) for k in range(10)]
 
@@ -468,9 +484,11 @@ def test_a_ring_of_missing_messages_heals():
     async def agent(c: Communicator) -> dict[int, int]:
         send, after = c.port.send, (c.id + 1) % 3
 
-        def lossy(topic: Any, to: tuple[int, ...], *m: Any) -> None:
-            first = m[3] & KIND_MASK == MessageKind.DATA and not m[4:]
-            send(topic, tuple(j for j in to if not (first and j == after)), *m)
+        def lossy(message: Message, to: tuple[int, ...], *attempt: int) -> None:
+            kind = message.flags & KIND_MASK
+            first = kind == MessageKind.DATA and not attempt
+            to = tuple(j for j in to if not (first and j == after))
+            send(message, to, *attempt)
 
         c.port.send = lossy  # type: ignore[method-assign, assignment]
         return await c.neighbors_exchange(c.id)
@@ -489,8 +507,10 @@ def test_a_duplicate_of_a_finished_round_is_not_answered():
         await c.neighbors_exchange(1)
         before = c.port.counters.sent
         for kind in (MessageKind.DATA, MessageKind.AHEAD):
-            c.port.deliver(
-                MESSAGE_TOPICS.rounds.number, 1 - c.id, encode(1), 0, "main", kind, 0.0
+            c.port.bus.deliver(
+                Message(MESSAGE_TOPICS.rounds, 1 - c.id, encode(1), 0, "main", kind),
+                (c.port.address,),
+                0.0,
             )
         await c.port.bus.clock.sleep(1.0)
         return c.port.counters.sent - before
@@ -565,7 +585,7 @@ class Lost:
 @pytest.mark.parametrize("policy", ["raise", "partial"])
 def test_a_lost_neighbour(policy):
     async def agent(c: Communicator) -> Any:
-        c.membership = Lost(c.port.bus.clock, 1, 0.3)
+        c.exchange.table.membership = Lost(c.port.bus.clock, 1, 0.3)
         if policy == "partial":
             return await c.neighbors_exchange(c.id, policy="partial")
         with pytest.raises(
@@ -584,7 +604,7 @@ def test_a_lost_drone_counts_as_silent_since_it_was_heard_last():
         await c.neighbors_exchange(c.id)
         if c.id == 1:
             return ""
-        c.membership = Lost(c.port.bus.clock, 1, 3.0)
+        c.exchange.table.membership = Lost(c.port.bus.clock, 1, 3.0)
         await c.port.bus.clock.sleep(3.5)
         with pytest.raises(PeerLost) as caught:
             await c.neighbors_exchange(c.id)
@@ -597,7 +617,7 @@ def test_a_lost_drone_counts_as_silent_since_it_was_heard_last():
 
 def test_a_source_hears_that_its_reader_is_lost():
     async def agent(c: Communicator) -> int:
-        c.membership = Lost(c.port.bus.clock, 1, 0.3)
+        c.exchange.table.membership = Lost(c.port.bus.clock, 1, 0.3)
         for _ in range(ROUND_WINDOW.kept_rounds):
             await c.neighbors_exchange(0)
         with pytest.raises(PeerLost):
@@ -647,7 +667,7 @@ def test_closing_serves_the_neighbours_of_earlier_rounds_too(p):
 def test_closing_waits_for_the_late_and_not_for_the_lost():
     async def agent(c: Communicator) -> float:
         clock = c.port.bus.clock
-        c.membership = Lost(clock, 2, 1.2)
+        c.exchange.table.membership = Lost(clock, 2, 1.2)
         await c.neighbors_exchange(c.id, (1 - c.id,), (1 - c.id,))
         await clock.sleep(1.0 * c.id)
         await c.close()
@@ -680,13 +700,11 @@ def test_closing_lingers_for_drones_that_still_ask():
 def test_an_open_channel_does_not_report_that_it_is_closed():
     async def agent(c: Communicator) -> int:
         c.open("main")
-        c.port.deliver(
-            MESSAGE_TOPICS.rounds.number,
-            1 - c.id,
-            b"",
-            0,
-            "main",
-            MessageKind.FIN_TOO,
+        c.port.bus.deliver(
+            Message(
+                MESSAGE_TOPICS.rounds, 1 - c.id, b"", 0, "main", MessageKind.FIN_TOO
+            ),
+            (c.port.address,),
             0.0,
         )
         return c.port.counters.sent
@@ -811,67 +829,59 @@ def test_a_closed_channel_goes_on_where_it_was():
 
 def test_a_flood_of_unknown_messages_takes_no_memory_and_disturbs_no_exchange():
     async def agent(c: Communicator) -> Any:
-        deliver = c.port.deliver
+
+        def deliver(*parts: Any) -> None:
+            message = Message(MESSAGE_TOPICS.rounds, *parts)
+            c.port.bus.deliver(message, (c.id,), 0.0)
+
         for n in range(3000):
             deliver(
-                MESSAGE_TOPICS.rounds.number,
                 1 - c.id,
                 b"x" * 2000,
                 0,
                 f"name {n}",
                 MessageKind.DATA,
-                0.0,
             )
             deliver(
-                MESSAGE_TOPICS.rounds.number,
                 1 - c.id,
-                b"x" * (ROUND_LIMITS.max_early_bytes + 1),
+                b"x" * (EARLY_LIMITS.most_bytes + 1),
                 0,
                 "large",
                 MessageKind.DATA,
-                0.0,
             )
             deliver(
-                MESSAGE_TOPICS.rounds.number,
                 1 - c.id,
                 b"x",
                 ROUND_WINDOW.kept_rounds + n,
                 "main",
                 n % 8,
-                0.0,
             )
             deliver(
-                MESSAGE_TOPICS.rounds.number,
                 1 - c.id,
                 b"x",
-                ROUND_LIMITS.first_refused_round << (n % 100),
+                FIRST_REFUSED_ROUND << (n % 100),
                 "main",
                 n % 8,
-                0.0,
             )
             deliver(
-                MESSAGE_TOPICS.rounds.number,
                 77 + n,
                 b"x",
                 0,
                 "main",
                 MessageKind.DATA,
-                0.0,
             )
             deliver(
-                MESSAGE_TOPICS.rounds.number,
                 1 - c.id,
                 b"x",
                 0,
                 "main",
                 n + 1 << EPOCH_SHIFT,
-                0.0,
             )
-        kept = [len(message[1]) for message in c._early]
-        assert len(kept) == ROUND_LIMITS.max_early_messages
-        assert max(kept) <= ROUND_LIMITS.max_early_bytes
+        kept = [len(message.payload) for message, _ in c.exchange.arrivals._early]
+        assert len(kept) == EARLY_LIMITS.most_kept
+        assert max(kept) <= EARLY_LIMITS.most_bytes
         ch = c.open("main")
-        assert list(c._channels) == [FAILURE_CHANNEL, "main"]
+        assert list(c.exchange.table.channels) == [FAILURE_CHANNEL, "main"]
         assert (
             len(ch.inbox)
             + len(ch.peers.latest)
@@ -893,13 +903,16 @@ def test_rounds_far_ahead_are_dropped_and_counted():
             ROUND_WINDOW.kept_rounds,
             10**9,
         ):
-            c.port.deliver(
-                MESSAGE_TOPICS.rounds.number,
-                1 - c.id,
-                encode(1),
-                number,
-                "main",
-                MessageKind.DATA,
+            c.port.bus.deliver(
+                Message(
+                    MESSAGE_TOPICS.rounds,
+                    1 - c.id,
+                    encode(1),
+                    number,
+                    "main",
+                    MessageKind.DATA,
+                ),
+                (c.port.address,),
                 0.0,
             )
         return len(ch.inbox), c.ahead
@@ -909,14 +922,14 @@ def test_rounds_far_ahead_are_dropped_and_counted():
 
 def test_too_many_channels_are_refused_and_closed_ones_make_room():
     async def agent(c: Communicator) -> None:
-        for n in range(ROUND_LIMITS.max_channels + 20):
+        for n in range(CHANNEL_LIMITS.most_open + 20):
             await c.neighbors_exchange(n, channel=f"{n}")
             await c.close(f"{n}")
-        for n in range(ROUND_LIMITS.max_channels):
+        for n in range(CHANNEL_LIMITS.most_open):
             await c.neighbors_exchange(n, channel=f"again {n}")
         with pytest.raises(
             ConfigError,
-            match=f"drone 0: channel 'more': found {ROUND_LIMITS.max_channels}; allowed",
+            match=f"drone 0: channel 'more': found {CHANNEL_LIMITS.most_open}; allowed",
         ):
             await c.neighbors_exchange(0, channel="more")
 
@@ -927,7 +940,15 @@ def test_an_undecodable_message_is_an_error_of_its_reader():
     async def agent(c: Communicator) -> int:
         if c.id == 1:
             c.port.send(
-                MESSAGE_TOPICS.rounds, (0,), b"\xff", 0, "main", MessageKind.DATA
+                Message(
+                    MESSAGE_TOPICS.rounds,
+                    c.port.address,
+                    b"\xff",
+                    0,
+                    "main",
+                    MessageKind.DATA,
+                ),
+                (0,),
             )
             return 0
         with pytest.raises(CodecError):
@@ -941,7 +962,12 @@ def test_an_undecodable_message_is_an_error_of_its_reader():
 def test_messages_of_unknown_kinds_are_dropped(kind):
     async def agent(c: Communicator) -> int:
         if c.id == 1:
-            c.port.send(MESSAGE_TOPICS.rounds, (0,), encode("x"), 5, "main", kind)
+            c.port.send(
+                Message(
+                    MESSAGE_TOPICS.rounds, c.port.address, encode("x"), 5, "main", kind
+                ),
+                (0,),
+            )
         found = await c.neighbors_exchange(c.id)
         assert found == {1 - c.id: 1 - c.id}
         assert not c.open("main").peers.finished
@@ -957,7 +983,12 @@ def test_a_message_of_two_rounds_that_is_too_short_is_dropped(content):
     async def agent(c: Communicator) -> int:
         if c.id == 1:
             kind = MessageKind.DOUBLE
-            c.port.send(MESSAGE_TOPICS.rounds, (0,), content, 5, "main", kind)
+            c.port.send(
+                Message(
+                    MESSAGE_TOPICS.rounds, c.port.address, content, 5, "main", kind
+                ),
+                (0,),
+            )
         assert await c.neighbors_exchange(c.id) == {1 - c.id: 1 - c.id}
         assert list(c.open("main").inbox) == []
         return c.port.counters.malformed
@@ -970,7 +1001,10 @@ def test_a_message_of_round_0_and_the_round_before_is_dropped():
         if c.id == 1:
             both = join_contents(encode("new"), encode("old"))
             kind = MessageKind.DOUBLE
-            c.port.send(MESSAGE_TOPICS.rounds, (0,), both, 0, "main", kind)
+            c.port.send(
+                Message(MESSAGE_TOPICS.rounds, c.port.address, both, 0, "main", kind),
+                (0,),
+            )
         assert await c.neighbors_exchange(c.id) == {1 - c.id: 1 - c.id}
         return c.port.counters.malformed
 
@@ -982,25 +1016,29 @@ def test_a_message_of_two_rounds_brings_both():
         if c.id == 1:
             both = join_contents(encode("new"), encode("old"))
             kind = MessageKind.DOUBLE
-            c.port.send(MESSAGE_TOPICS.rounds, (0,), both, 1, "main", kind)
+            c.port.send(
+                Message(MESSAGE_TOPICS.rounds, c.port.address, both, 1, "main", kind),
+                (0,),
+            )
             return []
         return [await c.receive() for _ in range(2)]
 
     assert swarm(graphs.path(2), agent)[0] == [{1: "old"}, {1: "new"}]
 
 
-@pytest.mark.parametrize("size", [ROUND_LIMITS.max_double_bytes // 2 - 8, 2000])
+@pytest.mark.parametrize("size", [MOST_DOUBLE_BYTES // 2 - 8, 2000])
 def test_two_rounds_are_sent_again_in_one_message_if_they_are_small(size):
     kinds = Counter[int]()
 
     async def agent(c: Communicator) -> None:
         send = c.port.send
 
-        def counted(topic, to, payload, number=0, channel="", flags=0, *more):
-            kinds[flags & KIND_MASK] += len(to)
+        def counted(message, to, *more):
+            kind = message.flags & KIND_MASK
+            kinds[kind] += len(to)
             # The other drone misses the first copies of the second round.
-            if number != 1 or flags & KIND_MASK != MessageKind.DATA:
-                send(topic, to, payload, number, channel, flags, *more)
+            if message.number != 1 or kind != MessageKind.DATA:
+                send(message, to, *more)
 
         c.port.send = counted  # type: ignore[method-assign, assignment]
         for k in range(2):
@@ -1038,7 +1076,7 @@ def test_a_new_epoch_ends_what_is_not_joinable_and_the_next_begins_at_zero():
         if c.id == 2:
             await c.neighbors_exchange(0, channel="a")
             return None
-        clock.call_at(10**9, c.leave, (2,), 1)
+        clock.call_at(10**9, begin_epoch, c, (2,), 1)
         heard = [await c.neighbors_exchange(0, channel="a")]
         with pytest.raises(
             RosterChanged, match=rf"drone {c.id}: epoch 1: joined \[\], left \[2\]"
@@ -1058,7 +1096,7 @@ def test_a_drone_that_is_not_waiting_learns_of_the_epoch_at_its_next_call():
         await c.neighbors_exchange(1)
         if c.id == 2:
             return None
-        c.leave((2,), 1)
+        begin_epoch(c, (2,), 1)
         with pytest.raises(RosterChanged):
             await (c.neighbors_exchange(2) if c.id else c.send(2))
         return await c.neighbors_exchange(3)
@@ -1072,24 +1110,30 @@ def test_messages_of_an_earlier_epoch_are_ignored_and_those_of_the_next_are_kept
         clock = c.port.bus.clock
         if c.id == 1:
             c.port.send(
-                MESSAGE_TOPICS.rounds, (0,), encode("old"), 0, "main", MessageKind.DATA
+                Message(
+                    MESSAGE_TOPICS.rounds,
+                    c.port.address,
+                    encode("old"),
+                    0,
+                    "main",
+                    MessageKind.DATA,
+                ),
+                (0,),
             )
-            c.leave((), 1)
+            begin_epoch(c, (), 1)
             return await c.neighbors_exchange("new")
         await clock.sleep(0.2)
         c.open("main")
-        c.leave((), 1)
+        begin_epoch(c, (), 1)
         assert encode("old") not in c.open("main").inbox.get(0, {}).values()
-        c.port.deliver(
-            MESSAGE_TOPICS.rounds.number,
-            1,
-            encode("old"),
-            0,
-            "main",
-            MessageKind.DATA,
+        c.port.bus.deliver(
+            Message(
+                MESSAGE_TOPICS.rounds, 1, encode("old"), 0, "main", MessageKind.DATA
+            ),
+            (c.port.address,),
             0.0,
         )
-        assert not c._early
+        assert not c.exchange.arrivals._early
         await clock.sleep(0.5)
         return await c.neighbors_exchange("mine")
 
@@ -1107,7 +1151,7 @@ def test_a_failed_agent_stays_failed_in_the_next_epoch_unless_it_has_restarted(
             await c.fail(Failure(1, "no idea"))
             return ""
         await c.port.bus.clock.sleep(2.0)
-        c.leave((2,), 1, joined=(1,) if back else ())
+        begin_epoch(c, (2,), 1, joined=(1,) if back else ())
         with pytest.raises((AgentFailed, RoundTimeout)) as raised:
             await c.neighbors_exchange(0, deadline=5.0)
         return type(raised.value).__name__
@@ -1153,7 +1197,7 @@ def test_a_joinable_channel_goes_on_without_members_that_leave():
     async def agent(c: Communicator) -> Any:
         algorithm = Counting(4 if c.id == 2 else 10)
         if c.id != 2:
-            c.port.bus.clock.call_at(10**9, c.leave, (2,), 1)
+            c.port.bus.clock.call_at(10**9, begin_epoch, c, (2,), 1)
         await run_algorithm(c, algorithm)
         return algorithm.heard
 

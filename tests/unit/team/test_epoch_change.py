@@ -140,7 +140,7 @@ def test_a_held_member_is_released_by_the_next_coordinator():
         barriers[0].changing._conclude = lambda: None  # type: ignore[method-assign]
         t.start(3)
         await t.clock.sleep(2.0)
-        held = [t.members[i].communicator.hold() for i in (1, 2)]
+        held = [t.members[i].communicator.exchange.hold() for i in (1, 2)]
         stalled = max(heard)
         await t.clock.sleep(1.0)
         assert max(heard) == stalled <= max(held)

@@ -24,7 +24,7 @@ from crazychoir.team.message_kind import (
     flag_lateness,
     read_lateness,
 )
-from crazychoir.team.rounds import CHECK_GRID, LONGEST_UNCHECKED
+from crazychoir.team.round_waits import CHECK_GRID, LONGEST_UNCHECKED
 
 
 def test_a_new_channel_resends_after_the_shortest_time():
@@ -106,10 +106,11 @@ class LosesOne:
         self.k = k
         c.port.send = self  # type: ignore[method-assign, assignment]
 
-    def __call__(self, topic, to, payload, number=0, channel="", flags=0, *more):
-        is_first = flags & KIND_MASK in (MessageKind.DATA, MessageKind.AHEAD)
-        if number != self.k or not is_first:
-            self.send(topic, to, payload, number, channel, flags, *more)
+    def __call__(self, message, to, *more):
+        kind = message.flags & KIND_MASK
+        is_first = kind in (MessageKind.DATA, MessageKind.AHEAD)
+        if message.number != self.k or not is_first:
+            self.send(message, to, *more)
 
 
 def exchange_rounds(
@@ -221,10 +222,10 @@ def list_attempts(rounds: int, deadline: float) -> list[tuple[int, int, float]]:
         team = [Communicator(bus.port(i), graphs.path(2)) for i in (0, 1)]
         send = team[0].port.send
 
-        def noted(topic, to, payload, number=0, channel="", flags=0, attempt=0):
-            if flags & KIND_MASK in (MessageKind.REPEAT, MessageKind.DOUBLE):
-                repeats.append((number, attempt, clock.now()))
-            send(topic, to, payload, number, channel, flags, attempt)
+        def noted(message, to, attempt=0):
+            if message.flags & KIND_MASK in (MessageKind.REPEAT, MessageKind.DOUBLE):
+                repeats.append((message.number, attempt, clock.now()))
+            send(message, to, attempt)
 
         team[0].port.send = noted  # type: ignore[method-assign, assignment]
 
@@ -319,7 +320,7 @@ def test_a_lost_neighbour_is_found_although_rounds_are_long():
         c = Communicator(Bus(clock).port(0), graphs.path(2))
         for _ in range(100):
             c.open("main").wait.expected.learn(0.5)
-        c.membership = LostAt(clock, 0.1)
+        c.exchange.table.membership = LostAt(clock, 0.1)
         with pytest.raises(PeerLost):
             await c.neighbors_exchange(None)
         return clock.now()
@@ -353,8 +354,9 @@ def test_each_waiting_channel_is_sent_again_in_time():
             c.open("slow").wait.expected.learn(0.5)
         sent: list[float] = []
 
-        def send(topic, to, payload, number, channel, flags, *more):
-            if flags & KIND_MASK == MessageKind.REPEAT and channel == "fast":
+        def send(message, to, *more):
+            kind = message.flags & KIND_MASK
+            if kind == MessageKind.REPEAT and message.channel == "fast":
                 sent.append(clock.now())
 
         c.port.send = send  # type: ignore[method-assign, assignment]

@@ -4,6 +4,7 @@ from living import Alone, Team, alone, team
 from msgspec.structs import replace
 
 from crazychoir.bus.codec import encode
+from crazychoir.bus.message import Message
 from crazychoir.bus.presence import SILENCE_TIMEOUT, Presence
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.team import graph as graphs
@@ -29,13 +30,14 @@ def test_only_the_newest_changes_of_presence_are_kept():
 def test_a_newcomer_leaves_coordination_to_drones_that_fly():
     async def story(t: Team) -> None:
         barrier = t.start(0)
-        t.bus.ports[0].deliver(
-            MESSAGE_TOPICS.heartbeat.number,
-            2,
-            encode(TeamHeartbeat(1, 3, 0, (), (), "abc").wire()),
-            1,
-            "",
-            0,
+        t.bus.ports[0].bus.deliver(
+            Message(
+                MESSAGE_TOPICS.heartbeat,
+                2,
+                encode(TeamHeartbeat(1, 3, 0, (), (), "abc").wire()),
+                1,
+            ),
+            (t.bus.ports[0].address,),
             0.0,
         )
         barrier.monitor.tick()
@@ -55,14 +57,20 @@ def test_a_drone_watches_a_peer_that_watches_it():
         beat = encode(
             TeamHeartbeat(1, 1, barrier.roster.checksum, (), (), "abc").wire()
         )
-        t.bus.ports[3].deliver(MESSAGE_TOPICS.heartbeat.number, 1, beat, 1, "", 0, 0.0)
+        t.bus.ports[3].bus.deliver(
+            Message(MESSAGE_TOPICS.heartbeat, 1, beat, 1),
+            (t.bus.ports[3].address,),
+            0.0,
+        )
         assert barrier.monitor.watched == (0, 2), (
             "it has just heard of GO itself, and will watch fewer"
         )
         await t.clock.sleep(1.5 * SILENCE_TIMEOUT)
         for number in (2, 3):  # the second one says nothing new
-            t.bus.ports[3].deliver(
-                MESSAGE_TOPICS.heartbeat.number, 1, beat, number, "", 0, 0.0
+            t.bus.ports[3].bus.deliver(
+                Message(MESSAGE_TOPICS.heartbeat, 1, beat, number),
+                (t.bus.ports[3].address,),
+                0.0,
             )
         assert barrier.monitor.watched == (0, 2, 1)
 

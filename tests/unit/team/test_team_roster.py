@@ -1,8 +1,10 @@
 """The roster in force at one drone."""
 
 from living import Team, formed, settled, team
+from message_parts import taking_parts
 from msgspec.structs import replace
 
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.runtime.clock import Clock, run_virtual
@@ -39,26 +41,32 @@ def test_a_roster_for_an_earlier_life_is_not_taken():
     async def story(t: Team) -> Roster | None:
         barrier = t.start(1, incarnation=2)
         old = Roster(1, {0: 1, 1: 1}, [[0, 1]], False, 0, 0, "abc", "1")
-        t.bus.ports[1].deliver(
-            MESSAGE_TOPICS.roster.number, 0, GoMessage(old).wire(), 0, "1", 0, 0.0
+        t.bus.ports[1].bus.deliver(
+            Message(MESSAGE_TOPICS.roster, 0, GoMessage(old).wire(), 0, "1"),
+            (t.bus.ports[1].address,),
+            0.0,
         )
-        t.bus.ports[1].deliver(
-            MESSAGE_TOPICS.roster.number,
-            0,
-            GoMessage(replace(old, members={0: 1, 1: 2}, mission_hash="x")).wire(),
-            1,
-            "1",
-            0,
+        t.bus.ports[1].bus.deliver(
+            Message(
+                MESSAGE_TOPICS.roster,
+                0,
+                GoMessage(replace(old, members={0: 1, 1: 2}, mission_hash="x")).wire(),
+                1,
+                "1",
+            ),
+            (t.bus.ports[1].address,),
             0.0,
         )
         assert barrier.roster is None
-        t.bus.ports[1].deliver(
-            MESSAGE_TOPICS.roster.number,
-            0,
-            GoMessage(replace(old, members={0: 1, 1: 2})).wire(),
-            2,
-            "1",
-            0,
+        t.bus.ports[1].bus.deliver(
+            Message(
+                MESSAGE_TOPICS.roster,
+                0,
+                GoMessage(replace(old, members={0: 1, 1: 2})).wire(),
+                2,
+                "1",
+            ),
+            (t.bus.ports[1].address,),
             0.0,
         )
         return barrier.roster
@@ -75,8 +83,8 @@ def rosters_of_drone_0(clock: Clock) -> tuple[TeamRoster, list[GoMessage]]:
         bus.port(0, 5), graphs.ring(4), mission_hash="abc", version="1", seed=9
     )
     told: list[GoMessage] = []
-    bus.port(1).handlers[MESSAGE_TOPICS.roster.number] = lambda source, payload, *rest: (
-        told.append(read_roster_message(payload))
+    bus.port(1).handlers[MESSAGE_TOPICS.roster.number] = taking_parts(
+        lambda source, payload, *rest: told.append(read_roster_message(payload))
     )
     return rosters, told
 

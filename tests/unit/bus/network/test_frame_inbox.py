@@ -12,6 +12,7 @@ from link_parts import (
     make_table,
     meet,
 )
+from message_parts import taking_parts
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.bus.frames import FRAME_FORMAT, Envelope
@@ -54,7 +55,7 @@ class Receiver:
         self.counters = LinkCounters()
         self.inbox = FrameInbox(self.bus, self.table, self.greeter, self.counters)
         self.heard = []
-        self.bus.ports[0].handlers[DRONE_TOPICS.log.number] = self._hear
+        self.bus.ports[0].handlers[DRONE_TOPICS.log.number] = taking_parts(self._hear)
 
     def _hear(self, source, payload, number, channel, flags, age):
         self.heard.append((decode(payload), age))
@@ -216,7 +217,7 @@ async def test_an_error_of_a_handler_of_a_local_frame_is_counted(receiver):
     def fails(*message):
         raise ValueError("no")
 
-    receiver.bus.ports[0].handlers[DRONE_TOPICS.log.number] = fails
+    receiver.bus.ports[0].handlers[DRONE_TOPICS.log.number] = taking_parts(fails)
     receiver.inbox.receive_local("1-1", make_frame(log_line()), 0)
     assert receiver.counters.failed == 1
 

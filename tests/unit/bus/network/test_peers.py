@@ -388,7 +388,7 @@ def test_interests_count_once_both_have_heard(here: Here) -> None:
     here.bus.forwarder = type(
         "F",
         (),
-        {"forward": lambda self, topic, source, to, *rest: sent.append(tuple(to))},
+        {"forward": lambda self, message, to, age: sent.append(tuple(to))},
     )()
     here.bus.ports[0].publish(DRONE_TOPICS.status, Status("landed"))
     wish = [Interest("status", 0, 10_001)]

@@ -2,9 +2,11 @@
 
 import pytest
 from link_parts import OWN_INTRODUCTION, make_bus, make_frame, make_hello, meet
+from message_parts import taking_parts
 
 from crazychoir.bus.codec import encode
 from crazychoir.bus.frames import FRAME_FORMAT, Envelope, decode_frame
+from crazychoir.bus.message import Message
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.network.zenoh_session import SessionEndpoints
 from crazychoir.bus.port import PORT_ADDRESSES, Interest
@@ -41,7 +43,7 @@ def forwarded(link, to):
     link.outbox.add = lambda peer, klass, message: added.append(
         (peer.process, message.to)
     )
-    link.forward(MESSAGE_TOPICS.rounds, 0, to, b"x", 0, "", 0, 0.0)
+    link.forward(Message(MESSAGE_TOPICS.rounds, 0, b"x"), to, 0.0)
     return added
 
 
@@ -61,14 +63,14 @@ async def test_receivers_that_do_not_fit_into_one_message_get_several(link):
 
 
 async def test_a_message_before_opening_is_dropped(link):
-    link.forward(MESSAGE_TOPICS.rounds, 0, [1], b"x", 0, "", 0, 0.0)
+    link.forward(Message(MESSAGE_TOPICS.rounds, 0, b"x"), [1], 0.0)
     assert link.counters.dropped == 1
 
 
 async def test_a_received_message_reaches_its_port(link):
     heard = []
-    link.bus.ports[0].handlers[DRONE_TOPICS.log.number] = lambda *message: heard.append(
-        message
+    link.bus.ports[0].handlers[DRONE_TOPICS.log.number] = taking_parts(
+        lambda *message: heard.append(message)
     )
     line = Envelope(DRONE_TOPICS.log.number, 1, (0,), 0, 0, 0.0, "", encode("x"))
     link.inbox.receive_local("1-1", make_frame(line), 0)

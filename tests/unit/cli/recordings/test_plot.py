@@ -12,7 +12,7 @@ from crazychoir.config.swarm_config import default_swarm
 from crazychoir.launch.recording import describe_flight
 from crazychoir.recording.analysis import plots
 from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
+from crazychoir.recording.mcap.messages import FORM_BY_VALUE_TYPE, make_packer
 from crazychoir.types import State, Status
 
 CONFIG = default_swarm(2).replace(mission="goto")
@@ -60,7 +60,7 @@ def plot(tmp_path, monkeypatch):
         entries = []
         for i in (0, 1):
             for topic in topics:
-                message = MESSAGE_BY_VALUE_TYPE[type(said(i, topic)[0][1])]
+                message = FORM_BY_VALUE_TYPE[type(said(i, topic)[0][1])]
                 series, pack = Series(i, topic, message), make_packer(message, i)
                 for t, value in said(i, topic):
                     ns = round((100.0 + t) * 1e9)

@@ -11,7 +11,7 @@ from crazychoir.config.swarm_config import default_swarm
 from crazychoir.launch import flight
 from crazychoir.launch.recording import describe_flight
 from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
+from crazychoir.recording.mcap.messages import FORM_BY_VALUE_TYPE, make_packer
 from crazychoir.recording.mcap.reading import read_header
 
 CHUNKS, EACH = 4, 5
@@ -25,7 +25,7 @@ def written(path, lost=0):
     file = RecordingFile(
         path, describe_flight(CONFIG, virtual=True), CONFIG.dumps(), False
     )
-    series = Series(0, DRONE_TOPICS.log.name, MESSAGE_BY_VALUE_TYPE[str])
+    series = Series(0, DRONE_TOPICS.log.name, FORM_BY_VALUE_TYPE[str])
     pack = make_packer(series.message, 0)
     for k in range(CHUNKS):
         file.write(
@@ -123,7 +123,7 @@ def test_a_rerun_is_compared_as_far_as_the_recording_goes(
 ):
     def flies_the_same(config, mission, progress, file):
         """Write the lines of `written`, and one more."""
-        series = Series(0, DRONE_TOPICS.log.name, MESSAGE_BY_VALUE_TYPE[str])
+        series = Series(0, DRONE_TOPICS.log.name, FORM_BY_VALUE_TYPE[str])
         pack = make_packer(series.message, 0)
         file.write(
             [

@@ -5,7 +5,7 @@ import pytest
 from crazychoir.errors import ConfigError
 from crazychoir.recording.analysis.comparison import first_difference
 from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
+from crazychoir.recording.mcap.messages import FORM_BY_VALUE_TYPE, make_packer
 from crazychoir.recording.mcap.sequence import read_messages
 from crazychoir.types import State, Status
 
@@ -21,7 +21,7 @@ def recorded(path, flight):
     file, series = RecordingFile(path, {"version": "1"}, "{}", False), {}
     for came_ns, drone, topic, value in flight:
         one = series.setdefault(
-            (drone, topic), Series(drone, topic, MESSAGE_BY_VALUE_TYPE[type(value)])
+            (drone, topic), Series(drone, topic, FORM_BY_VALUE_TYPE[type(value)])
         )
         file.write(
             [

@@ -29,7 +29,7 @@ from crazychoir.recording.analysis.team_plots import (
 )
 from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
 from crazychoir.recording.mcap.messages import (
-    MESSAGE_BY_VALUE_TYPE,
+    FORM_BY_VALUE_TYPE,
     Exchanged,
     make_packer,
 )
@@ -90,7 +90,7 @@ def recorded(tmp_path):
             ns = round(came * 1e9)
             one = series.setdefault(
                 (drone, type(value)),
-                Series(drone, topics[type(value)], MESSAGE_BY_VALUE_TYPE[type(value)]),
+                Series(drone, topics[type(value)], FORM_BY_VALUE_TYPE[type(value)]),
             )
             file.write(
                 [

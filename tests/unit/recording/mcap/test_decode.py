@@ -9,7 +9,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.recording.mcap.decode import MESSAGE_BY_ROS_TYPE, MessageDecoder
 from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
 from crazychoir.recording.mcap.messages import (
-    MESSAGE_BY_VALUE_TYPE,
+    FORM_BY_VALUE_TYPE,
     Exchanged,
     make_packer,
 )
@@ -75,7 +75,7 @@ SAID = [
 def recorded(path, values):
     file, entries = RecordingFile(path, {"version": "1"}, "{}", False), []
     for k, value in enumerate(values):
-        message = MESSAGE_BY_VALUE_TYPE[type(value)]
+        message = FORM_BY_VALUE_TYPE[type(value)]
         entries.append(
             RecordingEntry(
                 Series(12, f"topic{k}", message),
@@ -96,7 +96,7 @@ def test_what_was_said_comes_back(tmp_path):
     assert [type(value) for value in found] == [type(value) for value in SAID]
     for value, was in zip(found, SAID, strict=True):
         assert rounded(value) == rounded(was)
-    assert {type(value) for value in SAID} == {*MESSAGE_BY_VALUE_TYPE} - {Exchanged}
+    assert {type(value) for value in SAID} == {*FORM_BY_VALUE_TYPE} - {Exchanged}
 
 
 def rounded(value):
@@ -121,8 +121,8 @@ def test_other_fields_under_the_same_name_are_refused(tmp_path, monkeypatch):
     path = recorded(tmp_path / "a.mcap", SAID[:2])
     monkeypatch.setitem(
         MESSAGE_BY_ROS_TYPE,
-        MESSAGE_BY_VALUE_TYPE[Pose].type,
-        MESSAGE_BY_VALUE_TYPE[State],
+        FORM_BY_VALUE_TYPE[Pose].type,
+        FORM_BY_VALUE_TYPE[State],
     )
     values, (pose, state) = MessageDecoder(path), read_messages(path)
     with pytest.raises(
@@ -143,7 +143,7 @@ def test_each_drone_has_values_of_its_own(tmp_path):
     path = tmp_path / "a.mcap"
     file, message = (
         RecordingFile(path, {"version": "1"}, "{}", False),
-        MESSAGE_BY_VALUE_TYPE[State],
+        FORM_BY_VALUE_TYPE[State],
     )
     for drone in (3, 12345, 3):
         series = Series(drone, "state", message)

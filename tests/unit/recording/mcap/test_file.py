@@ -13,7 +13,7 @@ from crazychoir.recording.mcap.file import (
     RecordingFile,
     Series,
 )
-from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
+from crazychoir.recording.mcap.messages import FORM_BY_VALUE_TYPE, make_packer
 from crazychoir.recording.mcap.reading import read, read_header
 from crazychoir.types import Pose, State
 
@@ -35,7 +35,7 @@ def entries(series, first, last):
 
 
 def truth(drone=0):
-    return Series(drone, "truth", MESSAGE_BY_VALUE_TYPE[State])
+    return Series(drone, "truth", FORM_BY_VALUE_TYPE[State])
 
 
 def test_a_file_says_what_was_flown(tmp_path):
@@ -174,7 +174,7 @@ def test_on_the_disk_once_a_second_in_real_time_alone(tmp_path, monkeypatch):
     for durable, times in ((True, 4), (False, 0)):
         file, series = (
             opened(tmp_path / f"{durable}.mcap", durable),
-            Series(0, "pose", MESSAGE_BY_VALUE_TYPE[Pose]),
+            Series(0, "pose", FORM_BY_VALUE_TYPE[Pose]),
         )
         pack = make_packer(series.message, 0)
         for tenth in range(10, 35):  # s / 10

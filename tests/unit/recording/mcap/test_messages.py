@@ -13,7 +13,7 @@ from crazychoir.bus.codec import encode
 from crazychoir.bus.topics import OBSERVABLE_TOPICS, TOPIC_BY_NAME
 from crazychoir.recording.mcap.definitions import MESSAGE_DEFINITIONS
 from crazychoir.recording.mcap.messages import (
-    MESSAGE_BY_VALUE_TYPE,
+    FORM_BY_VALUE_TYPE,
     Exchanged,
     make_packer,
     usual_type,
@@ -41,7 +41,7 @@ HEADER = {"stamp": {"sec": 12, "nanosec": 345_678_901}, "frame_id": "world"}
 
 def sent(value, kind=None):
     """What others find, of drone 3."""
-    message = MESSAGE_BY_VALUE_TYPE[kind or type(value)]
+    message = FORM_BY_VALUE_TYPE[kind or type(value)]
     return decoded(message.type, message.schema, make_packer(message, 3)(value, BORN))
 
 
@@ -59,10 +59,10 @@ def posed(p, q):
 
 def test_what_is_observed_asked_and_commanded_is_in_the_table():
     assert {usual_type(TOPIC_BY_NAME[name]) for name in OBSERVABLE_TOPICS} <= set(
-        MESSAGE_BY_VALUE_TYPE
+        FORM_BY_VALUE_TYPE
     )
     assert {*get_args(Reference), *get_args(Command), Pose, State, Status} <= set(
-        MESSAGE_BY_VALUE_TYPE
+        FORM_BY_VALUE_TYPE
     )
 
 

@@ -16,7 +16,7 @@ from crazychoir.recording.mcap.file import (
     RecordingFile,
     Series,
 )
-from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
+from crazychoir.recording.mcap.messages import FORM_BY_VALUE_TYPE, make_packer
 from crazychoir.recording.mcap.reading import read, read_header
 from crazychoir.recording.mcap.records import MESSAGE_HEADER
 from crazychoir.recording.mcap.sequence import read_messages
@@ -31,7 +31,7 @@ def content(tmp_path_factory):
     path = tmp_path_factory.mktemp("recording") / "a.mcap"
     file, series = (
         RecordingFile(path, {"version": "1"}, "{}", False),
-        Series(4, "state", MESSAGE_BY_VALUE_TYPE[State]),
+        Series(4, "state", FORM_BY_VALUE_TYPE[State]),
     )
     pack = make_packer(series.message, 4)
     for chunk in range(CHUNKS):
@@ -192,7 +192,7 @@ def test_the_recording_of_another_program(tmp_path):
 
 def test_a_long_recording_takes_little_more_than_its_numbers(tmp_path):
     """A state has 13 numbers and two times, 120 bytes; twice as much while it is read."""
-    path, series = tmp_path / "a.mcap", Series(4, "state", MESSAGE_BY_VALUE_TYPE[State])
+    path, series = tmp_path / "a.mcap", Series(4, "state", FORM_BY_VALUE_TYPE[State])
     file, pack = (
         RecordingFile(path, {"version": "1"}, "{}", False),
         make_packer(series.message, 4),
@@ -227,7 +227,7 @@ def test_nothing_of_these_topics(tmp_path, content):
 def test_a_recording_of_another_version_is_not_misread(tmp_path, monkeypatch, content):
     path = tmp_path / "a.mcap"
     path.write_bytes(content)
-    monkeypatch.setitem(MESSAGE_BY_VALUE_TYPE, State, MESSAGE_BY_VALUE_TYPE[dict])
+    monkeypatch.setitem(FORM_BY_VALUE_TYPE, State, FORM_BY_VALUE_TYPE[dict])
     with pytest.raises(
         ConfigError, match=r"another nav_msgs/msg/Odometry for state.*version"
     ):

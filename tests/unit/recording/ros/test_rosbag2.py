@@ -13,7 +13,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from crazychoir.errors import ConfigError
 from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
-from crazychoir.recording.mcap.messages import MESSAGE_BY_VALUE_TYPE, make_packer
+from crazychoir.recording.mcap.messages import FORM_BY_VALUE_TYPE, make_packer
 from crazychoir.recording.ros import rosbag2
 from crazychoir.recording.ros.rosbag2 import convert
 from crazychoir.types import FPQR, FullState, Pose, State, Status
@@ -37,7 +37,7 @@ def recording(tmp_path):
     path = tmp_path / "a.mcap"
     file, entries = RecordingFile(path, {"version": "1"}, "{}", False), []
     for k, (drone, topic, value) in enumerate(SAID, 1):
-        message = MESSAGE_BY_VALUE_TYPE[type(value)]
+        message = FORM_BY_VALUE_TYPE[type(value)]
         data = make_packer(message, drone)(value, k * TENTH)
         entries.append(
             RecordingEntry(

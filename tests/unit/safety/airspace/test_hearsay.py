@@ -9,6 +9,7 @@ import pytest
 from avoiding import AvoidingDrone
 
 from crazychoir.bus.codec import decode, encode
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import Bus
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.config.tables import CollisionTable
@@ -60,10 +61,10 @@ class Team:
     def spy(self, i):
         taken = self.bus.ports[i].handlers[MESSAGE_TOPICS.wanted_states.number]
         self.bus.ports[i].handlers[MESSAGE_TOPICS.wanted_states.number] = (
-            lambda *message: (
+            lambda message, age: (
                 self.asked.append(i),
-                self.note(i, message[1]),
-                taken(*message),
+                self.note(i, message.payload),
+                taken(message, age),
             )
         )
 
@@ -184,9 +185,9 @@ def test_a_drone_asks_about_few_drones_in_each_check_and_about_all_in_turn():
     sought = []
     handlers = team.bus.ports[last].handlers
     take = handlers[MESSAGE_TOPICS.wanted_states.number]
-    handlers[MESSAGE_TOPICS.wanted_states.number] = lambda *message: (
-        sought.append(decode(message[1])),
-        take(*message),
+    handlers[MESSAGE_TOPICS.wanted_states.number] = lambda message, age: (
+        sought.append(message.open()),
+        take(message, age),
     )
     for j in silent:
         team.say(j, (0.1 * j - 1.0, 1.0, 1.0), [0])
@@ -226,8 +227,8 @@ def test_absent_drones_take_no_turns_of_a_drone_that_others_hear(lost):
     team = Team(500, flown=5)
     handlers = team.bus.ports[0].handlers
     take = handlers[MESSAGE_TOPICS.relayed_states.number]
-    handlers[MESSAGE_TOPICS.relayed_states.number] = lambda *message: (
-        take(*message) if team.seconds > NEIGHBOUR_AGES.silent + lost else None
+    handlers[MESSAGE_TOPICS.relayed_states.number] = lambda message, age: (
+        take(message, age) if team.seconds > NEIGHBOUR_AGES.silent + lost else None
     )
     for j in range(5, 250):
         team.say(j, (0.2 * (j % 30), 0.2 * (j // 30), 0.0), [0])
@@ -329,20 +330,20 @@ def test_a_drone_that_hears_no_more_than_half_is_cut_off_whatever_it_is_told():
 def test_only_what_is_new_is_told_with_its_age_and_that_of_the_way():
     team, told = Team(), []
     take = team.bus.ports[0].handlers[MESSAGE_TOPICS.relayed_states.number]
-    team.bus.ports[0].handlers[MESSAGE_TOPICS.relayed_states.number] = lambda *message: (
-        told.append(message)
+    team.bus.ports[0].handlers[MESSAGE_TOPICS.relayed_states.number] = (
+        lambda message, age: told.append(message)
     )
     ask = team.bus.ports[2].handlers[MESSAGE_TOPICS.wanted_states.number]
-    ask(0, encode([1, 0, 2, 99]), 1, "", 0, 0.0)
+    ask(Message(MESSAGE_TOPICS.wanted_states, 0, encode([1, 0, 2, 99]), 1), 0.0)
     assert told == [], "it has never heard of 1"
     team.say(1, (1.0, 0.0, 1.0), [2])
     team.seconds = NEIGHBOUR_AGES.usable - 0.1
-    ask(0, encode([1, 99]), 2, "", 0, 0.0)
-    [(source, payload, *_)] = told
-    take(source, payload, 1, "", 0, 0.2)
+    ask(Message(MESSAGE_TOPICS.wanted_states, 0, encode([1, 99]), 2), 0.0)
+    [message] = told
+    take(message, 0.2)
     assert team.row(0, 1)["state_time"] == pytest.approx(-0.2)
     team.seconds = NEIGHBOUR_AGES.usable + 0.1
-    ask(0, encode([1]), 3, "", 0, 0.0)
+    ask(Message(MESSAGE_TOPICS.wanted_states, 0, encode([1]), 3), 0.0)
     assert len(told) == 1
 
 
@@ -442,7 +443,7 @@ GARBAGE = [
 def test_what_is_no_message_is_counted_and_changes_nothing(topic, payload):
     team = Team()
     before = team.drones[0].traffic.rows.copy()
-    team.bus.ports[0].handlers[topic.number](2, payload, 1, "", 0, 0.0)
+    team.bus.ports[0].handlers[topic.number](Message(topic, 2, payload, 1), 0.0)
     assert team.bus.ports[0].counters.malformed == 1
     np.testing.assert_array_equal(team.drones[0].traffic.rows, before)
 

@@ -1,0 +1,28 @@
+"""Messages as tuples, for handlers in tests that compare them."""
+
+from collections.abc import Callable
+from typing import Any
+
+from crazychoir.bus.message import Message
+from crazychoir.bus.port import Handler
+
+
+def list_parts(message: Message, age: float) -> tuple[int, bytes, int, str, int, float]:
+    """(source, payload, number, channel, flags, age)"""
+    return (
+        message.source,
+        message.payload,
+        message.number,
+        message.channel,
+        message.flags,
+        age,
+    )
+
+
+def taking_parts(take: Callable[..., Any]) -> Handler:
+    """A handler that gives the parts of each message to `take`."""
+
+    def handle(message: Message, age: float) -> None:
+        take(*list_parts(message, age))
+
+    return handle
