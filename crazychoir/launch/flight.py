@@ -5,7 +5,6 @@ import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from crazychoir.guidance.feedback import are_all_idle
 from crazychoir.guidance.mission import Mission, has_hook
 from crazychoir.launch.flight_observer import FlightScore, Watch, list_goals
 from crazychoir.launch.network import make_observer_link, run_attached
-from crazychoir.launch.processes import WORLD_OWNER, Owner, run_children
+from crazychoir.launch.processes import WORLD_OWNER, Owner, SwarmLauncher, run_children
 from crazychoir.mocap.system import MOCAP_EXTRA, MOCAP_LIBRARY
 from crazychoir.recording.mcap.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
@@ -117,10 +116,9 @@ NO_DISPLAY = FlightDisplay()
 
 
 def fly_real(
-    path: Path,
+    launcher: SwarmLauncher,
     config: SwarmConfig,
     mission: Mission,
-    options: Iterable[str] = (),
     display: FlightDisplay = NO_DISPLAY,
     started: tuple[int, ...] | None = None,
     file: RecordingFile | None = None,
@@ -130,10 +128,9 @@ def fly_real(
     The processes are connected by Zenoh. This process starts them, observes the swarm and records
     it into `file`.
 
-    path: file of `config`, for the processes
+    launcher: starts the processes with the file of `config`
     config: the swarm
     mission: its mission
-    options: further options for the processes
     display: shows the flight
     started: drones to start, None for all; all drones of a group start if one of them is named
     file: recording of the flight, None for none
@@ -173,10 +170,9 @@ def fly_real(
             link, score, *([recorder] if recorder else []), *console
         ):
             results = await run_children(
+                launcher,
                 groups,
-                path,
                 config,
-                list(options),
                 display.say,
                 lambda: do_all_wait(config, score),
                 list_owners(config, started),

@@ -4,8 +4,6 @@ import asyncio
 import contextlib
 import math
 import signal
-import sys
-from asyncio.subprocess import DEVNULL, PIPE, STDOUT, Process
 from collections.abc import AsyncIterator, Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +15,8 @@ from crazychoir.agent.mission_runner import MISSION_TIMES
 from crazychoir.bus.codec import decode, encode
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import CodecError, ProcessFailed
-from crazychoir.files.path_texts import child_environment
 from crazychoir.files.user_folders import CACHE_WARNING
+from crazychoir.launch.fork_server import ForkedProcess, ForkServer
 from crazychoir.numerics.kernel_cache import COMPILING_MESSAGE, share_with_children
 from crazychoir.planning.point_to_point import PEAK_SPEED, compute_flight_time
 from crazychoir.runtime.worker_thread import add_signal_handler
@@ -71,7 +69,7 @@ PROCESS_OUTPUT_LIMITS = ProcessOutputLimits()
 
 Say = Callable[[str], None]
 Results = dict[int, dict[str, Any]]
-Children = dict[tuple[int, ...], Process]
+Children = dict[tuple[int, ...], ForkedProcess]
 
 
 @dataclass(frozen=True)
@@ -97,40 +95,83 @@ class Owner:
 
 
 WORLD_OWNER = Owner("world", "crazychoir.cli.fly.world")
+AGENT_MODULE = "crazychoir.cli.fly.agent"
+"""Module that runs as an agent."""
+
+
+@dataclass(frozen=True, slots=True)
+class SwarmLauncher:
+    """Starts the processes of a swarm."""
+
+    server: ForkServer
+    """Makes the processes."""
+    path: Path
+    """The swarm file; the results lie beside it during the run."""
+
+    def result_file(self, group: tuple[int, ...]) -> Path:
+        """Return the file for the results of an agent with these drones."""
+        return self.path.with_name(f"result-{group[0]}")
+
+    async def start_agent(self, group: tuple[int, ...]) -> ForkedProcess:
+        """Start an agent with these drones."""
+        ids = [word for i in group for word in ("--id", str(i))]
+        return await self.server.start(
+            AGENT_MODULE,
+            *("--swarm", str(self.path)),
+            *ids,
+            *("--child", str(self.result_file(group))),
+        )
+
+    async def start_owner(self, owner: Owner) -> ForkedProcess:
+        """Start the process of an owner."""
+        words = ("--swarm", str(self.path), *owner.options, "--child")
+        return await self.server.start(owner.module, *words)
+
+    @contextlib.asynccontextmanager
+    async def pass_on_own_output(self, say: Say) -> AsyncIterator[None]:
+        """Pass on what the fork server itself prints, during the block."""
+        async with self.server.open_output() as output:
+            reading = asyncio.create_task(_pass_on_lines(output, say))
+            try:
+                yield
+            except ProcessFailed:
+                await reading  # the server has ended, and has said why
+                raise
+            finally:
+                reading.cancel()
 
 
 async def run_children(
+    launcher: SwarmLauncher,
     groups: list[tuple[int, ...]],
-    path: Path,
     config: SwarmConfig,
-    options: list[str],
     say: Say,
     all_wait: Callable[[], bool] = lambda: False,
     owners: Sequence[Owner] = (),
 ) -> Results:
     """Start one process for each group, wait for their ends, and return the results of their drones.
 
+    launcher: starts the processes
     groups: drones of each process
-    path: the swarm file; the results lie beside it during the run
     config: the swarm
-    options: further options for the processes
     say: called with each line that a process prints
     all_wait: returns whether all drones still wait for the start. If a process ends without a result
         while they wait, all are ended, because the start would never come.
     owners: owners of the world, the cameras and the dongles, which are started too
     Returns {drone id: result}, without the drones that have no result.
+    Raises ProcessFailed if a process cannot be started.
     """
     say = _drop_repetitions(say)
-    files = {group: path.with_name(f"result-{group[0]}") for group in groups}
     children: Children = {}
     async with contextlib.AsyncExitStack() as stack:
-        stack.enter_context(share_with_children(path.parent))
+        stack.enter_context(share_with_children(launcher.path.parent))
+        await stack.enter_async_context(launcher.pass_on_own_output(say))
         for owner in owners:
-            await stack.enter_async_context(_run_owner(owner, path, children, say))
-        await _run_agents(children, path, files, config, options, say, all_wait)
+            await stack.enter_async_context(_run_owner(launcher, owner, children, say))
+        await _run_agents(launcher, groups, children, config, say, all_wait)
     results: Results = {}
     for group, child in children.items():
-        found = read_results(files[group])
+        found = read_results(launcher.result_file(group))
         results |= found
         if not found:
             say(
@@ -140,31 +181,44 @@ async def run_children(
 
 
 async def _run_agents(
+    launcher: SwarmLauncher,
+    groups: list[tuple[int, ...]],
     children: Children,
-    path: Path,
-    files: dict[tuple[int, ...], Path],
     config: SwarmConfig,
-    options: list[str],
     say: Say,
     all_wait: Callable[[], bool],
 ) -> None:
-    """Start one process for each result file, and wait until all have ended."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        add_signal_handler(number, _signal_all, children.values(), number)
+    """Start one process for each group, and wait until all have ended.
+
+    A signal is passed on to the processes. Those that have not been started then never are.
+    """
+
+    async def start_all() -> None:
+        for group in groups:
+            children[group] = await launcher.start_agent(group)
 
     async def until_its_end(group: tuple[int, ...]) -> None:
         await _pass_on_output(children[group], say)
-        if all_wait() and not read_results(files[group]):
+        if all_wait() and not read_results(launcher.result_file(group)):
             say(
                 f"drone(s) {', '.join(map(str, group))}: ended before the start: the others wait no more"
             )
             _signal_all(children.values(), signal.SIGTERM)
 
+    def pass_on(number: signal.Signals) -> None:
+        starting.cancel()
+        _signal_all(children.values(), number)
+
+    starting = asyncio.create_task(start_all())
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        add_signal_handler(number, pass_on, number)
     try:
-        for group, file in files.items():
-            children[group] = await _spawn_agent(group, path, file, options)
-        await asyncio.gather(*map(until_its_end, files))
+        await asyncio.wait([starting])
+        if not starting.cancelled():
+            starting.result()
+        await asyncio.gather(*map(until_its_end, children))
     finally:
+        starting.cancel()
         await _end_all(
             [child for child in children.values() if child.returncode is None],
             compute_patience(config),
@@ -173,11 +227,10 @@ async def _run_agents(
 
 @contextlib.asynccontextmanager
 async def _run_owner(
-    owner: Owner, path: Path, agents: Children, say: Say
+    launcher: SwarmLauncher, owner: Owner, agents: Children, say: Say
 ) -> AsyncIterator[None]:
     """Run an owner process during the block: it starts before the agents and ends after them."""
-    command = (owner.module, "--swarm", str(path), *owner.options, "--child")
-    child = await _start_module(*command)
+    child = await launcher.start_owner(owner)
     over = asyncio.Event()
     now = asyncio.get_running_loop().time
 
@@ -193,7 +246,7 @@ async def _run_owner(
         ):
             say(f"{owner.name}: its owner {_describe_end(child)}: started again")
             starts = [*starts[1:], now()]
-            child = await _start_module(*command)
+            child = await launcher.start_owner(owner)
             if over.is_set():
                 await _end_all([child], END_GRACE)
             await _pass_on_output(child, say)
@@ -275,41 +328,16 @@ def compute_patience(config: SwarmConfig) -> float:
     )
 
 
-async def _spawn_agent(
-    group: tuple[int, ...], path: Path, result: Path, options: list[str]
-) -> Process:
-    ids = [word for i in group for word in ("--id", str(i))]
-    return await _start_module(
-        "crazychoir.cli.fly.agent",
-        "--swarm",
-        str(path),
-        *ids,
-        "--child",
-        str(result),
-        *options,
-    )
-
-
-async def _start_module(module: str, *words: str) -> Process:
-    return await asyncio.create_subprocess_exec(
-        sys.executable,
-        "-m",
-        module,
-        *words,
-        stdin=DEVNULL,
-        stdout=PIPE,
-        stderr=STDOUT,
-        env=child_environment(),
-        # Ctrl-C then reaches only this process, which passes it on once.
-        start_new_session=True,
-    )
-
-
-async def _pass_on_output(child: Process, say: Say) -> None:
+async def _pass_on_output(child: ForkedProcess, say: Say) -> None:
     """Pass on the output of a process, line by line, until it ends."""
-    assert child.stdout is not None  # noqa: S101 - it was asked for
+    await _pass_on_lines(child.stdout, say)
+    await child.wait()
+
+
+async def _pass_on_lines(output: asyncio.StreamReader, say: Say) -> None:
+    """Pass on an output, line by line, until its end."""
     rest = b""
-    while chunk := await child.stdout.read(PROCESS_OUTPUT_LIMITS.chunk):
+    while chunk := await output.read(PROCESS_OUTPUT_LIMITS.chunk):
         *lines, rest = (rest + chunk).split(b"\n")
         if len(rest) > PROCESS_OUTPUT_LIMITS.line:
             lines = [*lines, rest]
@@ -318,7 +346,6 @@ async def _pass_on_output(child: Process, say: Say) -> None:
             say(line.decode(errors="replace").rstrip())
     if rest:
         say(rest.decode(errors="replace").rstrip())
-    await child.wait()
 
 
 def _drop_repetitions(say: Say) -> Say:
@@ -344,7 +371,7 @@ def _drop_repetitions(say: Say) -> Say:
     return passed
 
 
-def _describe_end(child: Process) -> str:
+def _describe_end(child: ForkedProcess) -> str:
     """Return how a process has ended, in words."""
     code = child.returncode
     if code is None or code >= 0:
@@ -355,13 +382,13 @@ def _describe_end(child: Process) -> str:
         return f"was ended by signal {-code}"
 
 
-def _signal_all(children: Iterable[Process], number: signal.Signals) -> None:
+def _signal_all(children: Iterable[ForkedProcess], number: signal.Signals) -> None:
     for child in children:
         with contextlib.suppress(ProcessLookupError):
             child.send_signal(number)
 
 
-async def _end_all(children: list[Process], seconds: float) -> None:
+async def _end_all(children: list[ForkedProcess], seconds: float) -> None:
     """Ask every process to land and exit; kill those still running after `seconds`."""
     if not children:
         return

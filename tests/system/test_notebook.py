@@ -12,7 +12,9 @@ from nbclient.exceptions import CellExecutionError
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.flight import fly_real
+from crazychoir.launch.fork_server import ForkServer
 from crazychoir.launch.network import isolate_swarm, write_swarm_file
+from crazychoir.launch.processes import SwarmLauncher
 from crazychoir.optimization.algorithms.consensus import Consensus
 from crazychoir.optimization.rounds.mixing import team
 from crazychoir.solve.simulate import simulate
@@ -147,8 +149,9 @@ def test_a_flight_in_real_processes_works_inside_a_loop(tmp_path):
     config = isolate_swarm(default_swarm(2).replace(mission=str(mission)), 1)
 
     async def cell():
-        with write_swarm_file(config) as path:
-            return fly_real(path, config, load_mission(str(mission)))
+        with write_swarm_file(config) as path, ForkServer() as server:
+            launcher = SwarmLauncher(server, path)
+            return fly_real(launcher, config, load_mission(str(mission)))
 
     flown = asyncio.run(cell())
     assert (flown["success"], flown["reasons"]) == (True, {})

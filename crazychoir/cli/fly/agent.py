@@ -77,7 +77,10 @@ def agent(
                 config, which = configured_swarm(swarm, mission, loss, seed)
                 members = tuple(sorted({config.drone(i).id: None for i in ids}))
                 flown = load_mission(str(config.mission))
-                warned = check_before_flight(flown, config, force)
+                # `run` has checked the swarm of its child processes.
+                warned = (
+                    check_before_flight(flown, config, force) if child is None else []
+                )
             KERNEL_QUEUE.compile()
             if not as_json and child is None:
                 ERROR_CONSOLE.print(

@@ -19,16 +19,21 @@ BLAS_LIBRARIES: Final = ("OPENBLAS", "MKL", "OMP")
 """Libraries that multiply matrices with as many threads as the machine has processors."""
 
 
-def begin_process(is_child: bool) -> None:
-    """Set up the process of a command.
+def limit_matrix_threads() -> None:
+    """Let this process compute matrices without further threads, unless the environment says more.
 
-    Call it before numpy is imported: the matrices of a drone are small, so its process computes them
-    without further threads.
-
-    is_child: whether it ends when its parent process has ended
+    Call it before numpy is imported. The matrices of a drone are small.
     """
     for library in BLAS_LIBRARIES:
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+
+def begin_process(is_child: bool) -> None:
+    """Set up the process of a command, before numpy is imported.
+
+    is_child: whether it ends when its parent process has ended
+    """
+    limit_matrix_threads()
     if is_child:
         ending.end_after_parent()
     set_up_logging()

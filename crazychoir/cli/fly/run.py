@@ -28,6 +28,7 @@ from crazychoir.numerics.compiling import KERNEL_QUEUE
 if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.guidance.mission import Mission
+    from crazychoir.launch.fork_server import ForkServer
 
     Progress = LiveTable[Any]
 
@@ -88,75 +89,78 @@ def run(
 ) -> None:
     """Fly a mission on this machine; Ctrl-C lands the drones."""
     set_up_logging()
-    with KERNEL_QUEUE.checks_first():
-        # These imports take 1 s, which --help does not need.
-        from crazychoir.cli.shared.chosen_swarm import (
-            check_options,
-            drones_to_start,
-            resolve_swarm_file,
-            swarm_and_mission_to_run,
-            with_operator,
-        )
-        from crazychoir.guidance.mission import check_before_flight
-        from crazychoir.launch.flight import (
-            list_dongles,
-            list_owners,
-            require_extras,
-        )
-        from crazychoir.radio.link.ownership import require_free
+    from crazychoir.launch.fork_server import ForkServer
 
-    outputs = CommandOutputs()
-    given = {
-        "--fast": fast,
-        "--processes": processes,
-        "--picture": picture,
-        "--drones": drones,
-    }
-    try:
-        check_options(what, swarm, only, given)
-        with redirect_prints(), refuse_exit("the mission"):
-            with KERNEL_QUEUE.checks_first():
-                config, mission = swarm_and_mission_to_run(
-                    what, drones, swarm, loss, seed
-                )
-                config = with_operator(config, wait, fast)
-                require_drawable(picture)
-                started = drones_to_start(only, config)
-                source = resolve_swarm_file(what, swarm)
-                require_extras(
-                    config, [] if fast else list_owners(config, started), fast
-                )
-                if not fast:
-                    require_free(config, list_dongles(config, started))
-                named = {} if source is None else {"swarm": config.name}
-                warned = check_before_flight(mission, config, force)
-            began = time.perf_counter()
-            KERNEL_QUEUE.compile()
-            compiled_s = time.perf_counter() - began
-            flight = _ChosenFlight(what, source, mission, started, force, record)
-            with LiveTable(build_status_table, enabled=not as_json) as progress:
-                for text in warned:
-                    progress.say(text)
-                if fast:
-                    config, result = _fly_in_virtual_time(flight, config, progress)
-                else:
-                    own = only is None
-                    config, result = _fly_in_real_time(
-                        flight, config, own, processes, progress
+    # The server imports what the processes need while this process checks the swarm.
+    with nullcontext() if fast else ForkServer() as server:
+        with KERNEL_QUEUE.checks_first():
+            # These imports take 1 s, which --help does not need.
+            from crazychoir.cli.shared.chosen_swarm import (
+                check_options,
+                drones_to_start,
+                resolve_swarm_file,
+                swarm_and_mission_to_run,
+                with_operator,
+            )
+            from crazychoir.guidance.mission import check_before_flight
+            from crazychoir.launch.flight import (
+                list_dongles,
+                list_owners,
+                require_extras,
+            )
+            from crazychoir.radio.link.ownership import require_free
+
+        outputs = CommandOutputs()
+        given = {
+            "--fast": fast,
+            "--processes": processes,
+            "--picture": picture,
+            "--drones": drones,
+        }
+        try:
+            check_options(what, swarm, only, given)
+            with redirect_prints(), refuse_exit("the mission"):
+                with KERNEL_QUEUE.checks_first():
+                    config, mission = swarm_and_mission_to_run(
+                        what, drones, swarm, loss, seed
                     )
-            result["startup_s"] += compiled_s
-            result["picture"] = None
-            with outputs.writing("--picture"):
-                result["picture"] = _draw_requested(mission, config, result, picture)
-            del result["tracks"]
-            result = named | result | outputs.told
-    except CrazyChoirError as error:
-        exit_with_error(error, as_json)
-    except KeyboardInterrupt:
-        exit_interrupted(as_json)
-    _show(result, as_json)
-    outputs.say()
-    raise typer.Exit(0 if result["success"] and not outputs.failed else 1)
+                    config = with_operator(config, wait, fast)
+                    require_drawable(picture)
+                    started = drones_to_start(only, config)
+                    source = resolve_swarm_file(what, swarm)
+                    require_extras(
+                        config, [] if fast else list_owners(config, started), fast
+                    )
+                    if not fast:
+                        require_free(config, list_dongles(config, started))
+                    named = {} if source is None else {"swarm": config.name}
+                    warned = check_before_flight(mission, config, force)
+                flight = _ChosenFlight(what, source, mission, started, record)
+                with LiveTable(build_status_table, enabled=not as_json) as progress:
+                    for text in warned:
+                        progress.say(text)
+                    if server is None:
+                        config, result = _fly_in_virtual_time(flight, config, progress)
+                    else:
+                        server.prepare()
+                        own = only is None
+                        config, result = _fly_in_real_time(
+                            server, flight, config, own, processes, progress
+                        )
+                result["picture"] = None
+                with outputs.writing("--picture"):
+                    result["picture"] = _draw_requested(
+                        mission, config, result, picture
+                    )
+                del result["tracks"]
+                result = named | result | outputs.told
+        except CrazyChoirError as error:
+            exit_with_error(error, as_json)
+        except KeyboardInterrupt:
+            exit_interrupted(as_json)
+        _show(result, as_json)
+        outputs.say()
+        raise typer.Exit(0 if result["success"] and not outputs.failed else 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,8 +174,6 @@ class _ChosenFlight:
     mission: "Mission"
     started: tuple[int, ...]
     """Drones that this host starts."""
-    has_force: bool
-    """Whether the mission flies despite its warnings."""
     recording: Path | None
     """New file to record into."""
 
@@ -186,11 +188,17 @@ def _fly_in_virtual_time(
     recording = open_recording_file(
         flight.recording, config, flight.mission, virtual=True
     )
+    began = time.perf_counter()
+    KERNEL_QUEUE.compile()
+    compiled_s = time.perf_counter() - began
     with recording as file:
-        return config, fly_fast(config, flight.mission, progress, file)
+        result = fly_fast(config, flight.mission, progress, file)
+    result["startup_s"] += compiled_s
+    return config, result
 
 
 def _fly_in_real_time(
+    server: "ForkServer",
     flight: _ChosenFlight,
     config: "SwarmConfig",
     own: bool,
@@ -199,11 +207,13 @@ def _fly_in_real_time(
 ) -> tuple["SwarmConfig", dict[str, Any]]:
     """Fly in processes of their own; return the swarm that has flown and the result.
 
+    server: makes the processes
     own: whether the swarm gets addresses of its own on this machine.
     processes: number of processes; None: as the swarm file says.
     """
     from crazychoir.launch.flight import FlightDisplay, fly_real
     from crazychoir.launch.network import hold_isolated_swarm, write_swarm_file
+    from crazychoir.launch.processes import SwarmLauncher
     from crazychoir.launch.recording import open_recording_file
     from crazychoir.launch.run_registry import RunRecord, record_run
 
@@ -223,12 +233,10 @@ def _fly_in_real_time(
         progress.say(
             f"Look into it (or echo, hz, land, stop): crazychoir status --swarm {path}"
         )
-        flags = ["--force"] if flight.has_force else []
         result = fly_real(
-            path,
+            SwarmLauncher(server, path),
             config,
             flight.mission,
-            flags,
             FlightDisplay(progress, progress.say),
             flight.started,
             file,

@@ -286,12 +286,12 @@ def test_the_base_port_is_used_or_the_drone_that_needs_a_taken_port_is_named():
 def test_run_flies_at_the_base_port_of_its_file(tmp_path, monkeypatch):
     flown = []
 
-    def fly_real(path, config, *arguments, **options):
+    def fly_real(launcher, config, *arguments, **options):
         flown.append(
             (
                 config.base_port,
                 is_free(config.base_port),
-                SwarmConfig.load(path).base_port,
+                SwarmConfig.load(launcher.path).base_port,
             )
         )
         raise ConfigError("flown", "so far", "no further")

@@ -1,6 +1,7 @@
 """How processes are started, listened to and ended; how their results get here."""
 
 import asyncio
+import contextlib
 import os
 import signal
 import sys
@@ -20,6 +21,7 @@ from crazychoir.launch.processes import (
     PROCESS_OUTPUT_LIMITS,
     WORLD_OWNER,
     Owner,
+    SwarmLauncher,
     compute_patience,
     read_results,
     run_children,
@@ -43,6 +45,25 @@ async def handling_child(program, ready):
     while not ready.exists():  # noqa: ASYNC110 - of another process
         await asyncio.sleep(0.01)
     return started
+
+
+class Launcher:
+    """Starts other programs in place of the agents and of the owners."""
+
+    def __init__(self, folder, start_agent, start_owner=None):
+        self.path = folder / "swarm.json"
+        self._start_agent = start_agent
+        self.start_owner = start_owner
+
+    def result_file(self, group):
+        return SwarmLauncher.result_file(self, group)
+
+    async def start_agent(self, group):
+        return await self._start_agent(group, self.result_file(group))
+
+    @contextlib.asynccontextmanager
+    async def pass_on_own_output(self, say):
+        yield
 
 
 async def said_by(program):
@@ -83,28 +104,26 @@ def test_a_process_that_did_not_get_so_far_has_no_results(tmp_path):
 async def test_printed_text_is_no_result_and_drones_without_a_result_are_named(
     tmp_path, monkeypatch
 ):
-    async def spawn(group, path, result, options):
+    async def start(group, result):
         if group == (0, 1):
             write_results(result, {i: {"success": True} for i in group})
         return await child("print('{}'); raise SystemExit(3)")
 
     said = []
-    monkeypatch.setattr(processes, "_spawn_agent", spawn)
     found = await run_children(
-        [(0, 1), (2,)], tmp_path / "swarm.json", default_swarm(3), [], said.append
+        Launcher(tmp_path, start), [(0, 1), (2,)], default_swarm(3), said.append
     )
     assert found == {0: {"success": True}, 1: {"success": True}}
     assert said == ["{}", "{}", "drone(s) 2: no result: the process ended with code 3"]
 
 
 async def test_what_all_wait_for_is_said_once(tmp_path, monkeypatch):
-    async def spawn(group, path, result, options):
+    async def start(group, result):
         return await child(f"print({COMPILING_MESSAGE!r}); print('other')")
 
     said = []
-    monkeypatch.setattr(processes, "_spawn_agent", spawn)
     await run_children(
-        [(0,), (1,)], tmp_path / "swarm.json", default_swarm(2), [], said.append
+        Launcher(tmp_path, start), [(0,), (1,)], default_swarm(2), said.append
     )
     assert sorted(said[:3]) == sorted([COMPILING_MESSAGE, "other", "other"])
 
@@ -114,7 +133,7 @@ async def test_each_cache_that_is_not_kept_is_warned_of_once_in_a_run(
 ):
     """Each process names the folder of the law that it compiled first: the lines differ."""
 
-    async def spawn(group, path, result, options):
+    async def start(group, result):
         lines = [
             f"cache: compiled laws: no folder, {group}",
             f"cache: tables of contents: /a: full, {group}",
@@ -123,9 +142,8 @@ async def test_each_cache_that_is_not_kept_is_warned_of_once_in_a_run(
         return await child("; ".join(f"print({line!r})" for line in lines))
 
     said = []
-    monkeypatch.setattr(processes, "_spawn_agent", spawn)
     await run_children(
-        [(0,), (1,)], tmp_path / "swarm.json", default_swarm(2), [], said.append
+        Launcher(tmp_path, start), [(0,), (1,)], default_swarm(2), said.append
     )
     assert sum(line.startswith("cache: compiled laws: ") for line in said) == 1
     assert sum(line.startswith("cache: tables of contents: ") for line in said) == 1
@@ -159,19 +177,17 @@ async def test_a_process_killed_at_the_start_ends_the_wait_of_the_others(
 ):
     children, said = [], []
 
-    async def spawn(group, path, result, options):
+    async def start(group, result):
         if group == (0,):
             children.append(await child("import os; os.kill(os.getpid(), 9)"))
         else:
             children.append(await handling_child(flies, tmp_path / "ready"))
         return children[-1]
 
-    monkeypatch.setattr(processes, "_spawn_agent", spawn)
     await run_children(
+        Launcher(tmp_path, start),
         [(0,), (1,)],
-        tmp_path / "s.json",
         default_swarm(2),
-        [],
         said.append,
         lambda: waiting,
     )
@@ -181,16 +197,16 @@ async def test_a_process_killed_at_the_start_ends_the_wait_of_the_others(
     ) == waiting
 
 
-def world_that(does, monkeypatch, prepares="pass"):
+def world_that(does, prepares="pass"):
     """In place of the world's owner, a program that prepares, says that it is there, and does."""
 
-    async def start(module, *words):
-        assert (module, words[-1]) == ("crazychoir.cli.fly.world", "--child")
+    async def start(owner):
+        assert owner is WORLD_OWNER
         return await child(
             f"import os, signal, time; {prepares}; print('there', flush=True); {does}"
         )
 
-    monkeypatch.setattr(processes, "_start_module", start)
+    return start
 
 
 async def test_the_world_is_there_before_the_agents_and_ends_after_them(
@@ -198,7 +214,7 @@ async def test_the_world_is_there_before_the_agents_and_ends_after_them(
 ):
     order, there = [], asyncio.Event()
 
-    async def spawn(group, path, result, options):
+    async def start(group, result):
         order.append("agent begins")
         write_results(result, {0: {"success": True}})
         await there.wait()
@@ -209,17 +225,14 @@ async def test_the_world_is_there_before_the_agents_and_ends_after_them(
         if line == "there":
             there.set()
 
-    world_that(
+    start_world = world_that(
         "signal.pause()",
-        monkeypatch,
         "signal.signal(15, lambda *_: exit(print('world ends')))",
     )
-    monkeypatch.setattr(processes, "_spawn_agent", spawn)
     found = await run_children(
+        Launcher(tmp_path, start, start_world),
         [(0,)],
-        tmp_path / "s.json",
         default_swarm(1),
-        [],
         say,
         owners=[WORLD_OWNER],
     )
@@ -242,7 +255,7 @@ async def test_without_their_world_agents_end_that_do_not_by_themselves(
     children, said = [], []
     go = tmp_path / "go"
 
-    async def spawn(group, path, result, options):
+    async def start(group, result):
         children.append(await handling_child("time.sleep(60)", tmp_path / "ready"))
         asyncio.get_running_loop().call_soon(go.touch)  # when the run knows it
         return children[-1]
@@ -250,14 +263,12 @@ async def test_without_their_world_agents_end_that_do_not_by_themselves(
     waits = (
         f"[time.sleep(0.01) for _ in iter(lambda: os.path.exists({str(go)!r}), True)]"
     )
-    world_that(f"{waits}; {ends}", monkeypatch)
-    monkeypatch.setattr(processes, "_spawn_agent", spawn)
+    start_world = world_that(f"{waits}; {ends}")
     monkeypatch.setattr(processes, "ORPHAN_GRACE", orphaned)
     await run_children(
+        Launcher(tmp_path, start, start_world),
         [(0,)],
-        tmp_path / "s.json",
         default_swarm(1),
-        [],
         said.append,
         owners=[WORLD_OWNER],
     )
@@ -270,25 +281,22 @@ async def test_without_a_dongle_for_good_only_agents_of_its_drones_end(
 ):
     children, said = {}, []
 
-    async def spawn(group, path, result, options):
+    async def start(group, result):
         seconds = 1.0 if group == (0, 1) else 600.0
         children[group] = await handling_child(
             f"time.sleep({seconds})", tmp_path / f"ready{group[0]}"
         )
         return children[group]
 
-    async def start(module, *words):
+    async def start_owner(owner):
         return await child("exit(1)")
 
-    monkeypatch.setattr(processes, "_start_module", start)
-    monkeypatch.setattr(processes, "_spawn_agent", spawn)
     monkeypatch.setattr(processes, "ORPHAN_GRACE", 0.3)
     dongle = Owner("dongle 1", "", again=True, ids=(1, 2))
     await run_children(
+        Launcher(tmp_path, start, start_owner),
         [(0, 1), (2,)],
-        tmp_path / "s.json",
         default_swarm(3),
-        [],
         said.append,
         owners=[dongle],
     )
@@ -302,7 +310,7 @@ async def test_without_a_dongle_for_good_only_agents_of_its_drones_end(
 async def test_a_signal_is_passed_on_as_what_it_is(tmp_path, monkeypatch):
     children, said = [], []
 
-    async def spawn(group, path, result, options):
+    async def start(group, result):
         children.append(await child(WAITS.format(int(signal.SIGINT))))
         return children[-1]
 
@@ -311,8 +319,7 @@ async def test_a_signal_is_passed_on_as_what_it_is(tmp_path, monkeypatch):
         if line == "on":
             os.kill(os.getpid(), signal.SIGINT)
 
-    monkeypatch.setattr(processes, "_spawn_agent", spawn)
-    await run_children([(0,)], tmp_path / "s.json", default_swarm(1), [], say)
+    await run_children(Launcher(tmp_path, start), [(0,)], default_swarm(1), say)
     assert children[0].returncode == 3
 
 

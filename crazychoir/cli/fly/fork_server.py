@@ -1,0 +1,36 @@
+"""The fork server of `crazychoir run`: it imports what the processes of a swarm import, and forks them."""
+
+import socket
+import sys
+
+from crazychoir.cli.fly.process_command import limit_matrix_threads
+from crazychoir.launch.process.ending import end_after_parent
+from crazychoir.launch.process.forking import serve_forks
+from crazychoir.numerics.compiling import KERNEL_QUEUE
+
+
+def main() -> None:
+    """Serve the socket with the file descriptor in the command line."""
+    limit_matrix_threads()
+    end_after_parent()
+    with KERNEL_QUEUE.checks_first():
+        _import_agent()
+    with socket.socket(fileno=int(sys.argv[1])) as requests:
+        program = serve_forks(requests, KERNEL_QUEUE.compile)
+    if program is not None:
+        program.run()
+
+
+def _import_agent() -> None:
+    """Import what an agent imports."""
+    import uvloop  # noqa: F401
+
+    import crazychoir.cli.fly.agent
+    import crazychoir.cli.shared.chosen_swarm
+    import crazychoir.guidance.mission
+    import crazychoir.launch.process.process
+    import crazychoir.launch.processes  # noqa: F401
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,185 @@
+"""The fork server of a run, from inside: it forks a process for each request.
+
+The other half is launch/fork_server.py, which says what it is for.
+
+A fork copies memory, but only one thread. A thread of a library that is lost in this way may have
+held a lock, on which the new process would wait for ever. Therefore the server has one thread, and
+sessions, event loops and logging begin in the new process.
+"""
+
+import contextlib
+import ctypes
+import gc
+import importlib
+import os
+import random
+import socket
+import sys
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
+
+from crazychoir.launch.fork_server import REQUEST_SIZE, ForkRequest
+
+THREADS_FOLDER = Path("/proc/self/task")
+"""Folder with an entry for each thread of this process."""
+STATE_FILE = Path("/proc/self/stat")
+"""File with the state of this process, see proc(5)."""
+ARGUMENTS_START = 45
+"""Field of STATE_FILE, after the name: the address of the first word of the command line."""
+ENVIRONMENT_END = 48
+"""Field of STATE_FILE, after the name: the end of the environment, which follows the command line."""
+STANDARD_OUTPUTS = (1, 2)
+"""File descriptors of standard output and standard error."""
+PROCESS_NUMBER_SIZE = 32
+"""Most bytes of the number of a process as text."""
+
+
+@dataclass(frozen=True, slots=True)
+class ForkedProgram:
+    """What a forked process is to run."""
+
+    request: ForkRequest
+    """The request of the run."""
+    output: int
+    """File descriptor for its standard output and standard error."""
+
+    def run(self) -> NoReturn:
+        """Run the module as if Python had just been started with it, and exit."""
+        code = 1
+        try:
+            self._take_over()
+            module = importlib.import_module(self.request.module)
+            module.main()
+        except SystemExit as ended:
+            code = _read_exit_code(ended)
+        except BaseException:  # noqa: BLE001 - Python itself prints any error in this way
+            traceback.print_exc()
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(code)
+
+    def _take_over(self) -> None:
+        """Replace what this process has from the fork server."""
+        os.setsid()
+        for standard in STANDARD_OUTPUTS:
+            os.dup2(self.output, standard)
+        os.close(self.output)
+        os.environ.clear()
+        os.environ.update(self.request.environment)
+        os.chdir(self.request.folder)
+        sys.argv = [self.request.module, *self.request.words]
+        _show_command_line(sys.executable, "-m", *sys.argv)
+        _forget_random_state()
+
+
+def serve_forks(
+    requests: socket.socket, prepare: Callable[[], None]
+) -> ForkedProgram | None:
+    """Fork a process for each request until the run has ended.
+
+    requests: socket with the requests of the run
+    prepare: loads what all processes need; called before the first request is answered
+    Returns in each forked process the program that it is to run. Returns None in the server, at its
+    end.
+    """
+    is_prepared = False
+    while True:
+        data, descriptors, _, _ = socket.recv_fds(requests, REQUEST_SIZE, 1)
+        if not data:
+            return None
+        if not is_prepared:
+            prepare()
+            _get_ready_to_fork()
+            is_prepared = True
+        if not descriptors:
+            continue
+        program = ForkedProgram(ForkRequest.decode(data), descriptors[0])
+        if _fork_for_adoption(requests):
+            requests.close()
+            return program
+        os.close(program.output)
+
+
+def _get_ready_to_fork() -> None:
+    """Move all objects out of the sight of the garbage collector: it would copy their memory.
+
+    Raises RuntimeError if this process has more than one thread.
+    """
+    threads = len(list(THREADS_FOLDER.iterdir()))
+    if threads != 1:
+        raise RuntimeError(f"the fork server has {threads} threads; allowed: 1")
+    gc.collect()
+    gc.freeze()
+
+
+def _fork_for_adoption(requests: socket.socket) -> bool:
+    """Fork a process that the run adopts, and send its number to the run.
+
+    Returns True in the new process, once the run has adopted it and knows its number. If the server
+    ends before, the new process ends too.
+    """
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        middle = os.fork()
+        if middle == 0:
+            ours.close()
+            _fork_and_leave(theirs)
+            return True
+        theirs.close()
+        number = ours.recv(PROCESS_NUMBER_SIZE)
+        os.waitpid(middle, 0)  # the run has adopted the new process
+        requests.send(number or b"the system allows no further process")
+        with contextlib.suppress(OSError):  # it was killed meanwhile
+            ours.send(b"go")
+    return False
+
+
+def _fork_and_leave(server: socket.socket) -> None:
+    """Fork a process, send its number to the server, and end; return in the new process.
+
+    The new process waits here for the word of the server.
+    """
+    try:
+        number = os.fork()
+    except OSError:
+        os._exit(1)
+    if number:
+        server.send(str(number).encode())
+        os._exit(0)
+    if not server.recv(PROCESS_NUMBER_SIZE):
+        os._exit(1)
+
+
+def _show_command_line(*words: str) -> None:
+    """Show this command line in lists of processes.
+
+    It is written over the command line and the environment with which the server was started. Both
+    are in use no more: Python has copied them, and this process has set its environment anew.
+    """
+    fields = STATE_FILE.read_text().rpartition(")")[2].split()
+    start = int(fields[ARGUMENTS_START])
+    room = int(fields[ENVIRONMENT_END]) - start
+    text = os.fsencode(" ".join(words))[: room - 1]
+    ctypes.memset(start, 0, room)
+    ctypes.memmove(start, text, len(text))
+
+
+def _forget_random_state() -> None:
+    """Give this process random numbers of its own: those of numpy would be the same in all."""
+    numpy = sys.modules.get("numpy")
+    if numpy is not None:
+        numpy.random.seed(random.SystemRandom().getrandbits(32))
+
+
+def _read_exit_code(ended: SystemExit) -> int:
+    """Return the exit code of a program, and print the text with which it has ended."""
+    if ended.code is None:
+        return 0
+    if isinstance(ended.code, int):
+        return ended.code & 0xFF
+    sys.stderr.write(f"{ended.code}\n")
+    return 1
