@@ -53,6 +53,7 @@ class ForkedProgram:
             self._take_over()
             module = importlib.import_module(self.request.module)
             module.main()
+            code = 0
         except SystemExit as ended:
             code = _read_exit_code(ended)
         except BaseException:  # noqa: BLE001 - Python itself prints any error in this way

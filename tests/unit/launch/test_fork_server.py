@@ -1,0 +1,269 @@
+"""The fork server makes processes that are like any other child of the run."""
+
+import asyncio
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from crazychoir.errors import ProcessFailed
+from crazychoir.launch import fork_server
+from crazychoir.launch.fork_server import ForkServer
+
+SERVER = """
+from crazychoir.cli.fly.process_command import limit_matrix_threads
+limit_matrix_threads()
+import socket, sys, threading, time
+import numpy
+from crazychoir.launch.process.ending import end_after_parent
+from crazychoir.launch.process.forking import serve_forks
+
+def prepare():
+    print("prepared", flush=True)
+    {prepare}
+
+end_after_parent()
+with socket.socket(fileno=int(sys.argv[1])) as requests:
+    program = serve_forks(requests, prepare)
+if program is not None:
+    program.run()
+"""
+PROGRAM = """
+import os, signal, sys, time
+from pathlib import Path
+
+def main():
+    {main}
+"""
+RUN = """
+import asyncio, os
+from crazychoir.launch import fork_server
+
+fork_server.SERVER_MODULE = "small_server"
+
+async def run():
+    with fork_server.ForkServer() as server:
+        child = await server.start("small_program")
+        assert await child.stdout.readline() == b"ready\\n"
+        print(child.pid, server.pid, flush=True)
+        os.kill(os.getpid(), 9)
+
+asyncio.run(run())
+"""
+PAUSE = "print('ready', flush=True); signal.pause()"
+
+
+@pytest.fixture
+def write_program(tmp_path, monkeypatch):
+    """Let a small server and a program with this body take the places of the real ones."""
+    monkeypatch.setattr(fork_server, "SERVER_MODULE", "small_server")
+    places = [str(tmp_path), str(Path(fork_server.__file__).parents[2])]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(places))
+
+    def write(main, prepare="pass"):
+        (tmp_path / "small_server.py").write_text(SERVER.format(prepare=prepare))
+        (tmp_path / "small_program.py").write_text(PROGRAM.format(main=main))
+
+    return write
+
+
+async def run_program(*words):
+    """Run the program to its end; return its exit code and its output."""
+    with ForkServer() as server:
+        child = await server.start("small_program", *words)
+        output = (await child.stdout.read()).decode()
+        return await child.wait(), output
+
+
+def is_running(pid):
+    with contextlib.suppress(OSError):
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    return False
+
+
+@pytest.mark.parametrize(
+    ("main", "code", "output"),
+    [
+        ("print('hello')", 0, "hello\n"),
+        ("print('out'); sys.exit(3)", 3, "out\n"),
+        ("sys.exit('no such swarm')", 1, "no such swarm\n"),
+        ("sys.exit()", 0, ""),
+        ("sys.stderr.write('error'); sys.exit(256 + 7)", 7, "error"),
+        (
+            "print('last words'); sys.stdout.flush(); os.kill(os.getpid(), 9)",
+            -9,
+            "last words\n",
+        ),
+        ("os.kill(os.getpid(), 15)", -15, ""),
+    ],
+)
+async def test_exit_code_and_output_arrive(write_program, main, code, output):
+    write_program(main)
+    assert await run_program() == (code, output)
+
+
+async def test_program_that_raises_prints_its_traceback(write_program):
+    write_program("raise ValueError('no drone')")
+    code, output = await run_program()
+    assert code == 1
+    assert output.startswith("Traceback")
+    assert output.endswith("ValueError: no drone\n")
+
+
+async def test_missing_module_is_named():
+    with ForkServer() as server:
+        child = await server.start("no_such_module")
+        output = (await child.stdout.read()).decode()
+        assert await child.wait() == 1
+    assert output.endswith("ModuleNotFoundError: No module named 'no_such_module'\n")
+
+
+async def test_process_has_the_words_the_folder_and_the_environment_of_the_run(
+    write_program, tmp_path, monkeypatch
+):
+    write_program("print(sys.argv[1:], os.getcwd(), os.environ.get('COLOUR'))")
+    with ForkServer() as server:
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.setenv("COLOUR", "grün")
+        child = await server.start("small_program", "--id", "ü", "\udcff")
+        output = (await child.stdout.read()).decode()
+        await child.wait()
+    assert output == f"['--id', 'ü', '\\udcff'] {tmp_path} grün\n"
+
+
+async def test_process_is_a_child_of_the_run_in_a_session_of_its_own(write_program):
+    write_program("print(os.getpid(), os.getppid(), os.getsid(0))")
+    code, output = await run_program()
+    pid, parent, session = map(int, output.split())
+    assert (parent, session, code) == (os.getpid(), pid, 0)
+
+
+async def test_lists_of_processes_show_its_command_line(write_program):
+    words = [f"--option-{k}" for k in range(40)]
+    write_program("print(Path('/proc/self/cmdline').read_bytes())")
+    _, short = await run_program("--id", "3")
+    _, long = await run_program(*words)
+    expected = f"{sys.executable} -m small_program"
+    assert f"{expected} --id 3" in short
+    assert f"{expected} {' '.join(words)}" in long
+
+
+async def test_processes_draw_different_random_numbers(write_program):
+    write_program("import random, numpy; print(random.random(), numpy.random.random())")
+    with ForkServer() as server:
+        children = [await server.start("small_program") for _ in range(2)]
+        one, other = [(await child.stdout.read()).split() for child in children]
+        await asyncio.gather(*(child.wait() for child in children))
+    assert one[0] != other[0]
+    assert one[1] != other[1]
+
+
+async def test_many_processes_start_at_once_and_end_in_any_order(write_program):
+    write_program(
+        "time.sleep(0.2 - float(sys.argv[1]) / 100); sys.exit(int(sys.argv[1]))"
+    )
+    with ForkServer() as server:
+        starts = [server.start("small_program", str(k)) for k in range(12)]
+        children = await asyncio.gather(*starts)
+        for child in children:
+            await child.stdout.read()
+        codes = [await child.wait() for child in children]
+    assert codes == list(range(12))
+
+
+async def test_signals_reach_the_process(write_program):
+    write_program(PAUSE)
+    with ForkServer() as server:
+        child = await server.start("small_program")
+        await child.stdout.readline()
+        child.send_signal(signal.SIGHUP)
+        assert await child.wait() == -signal.SIGHUP
+        child.kill()  # has no effect
+        await child.stdout.read()
+
+
+async def test_processes_go_on_without_their_server_and_no_other_can_start(
+    write_program,
+):
+    write_program(PAUSE)
+    with ForkServer() as server:
+        child = await server.start("small_program")
+        await child.stdout.readline()
+        os.kill(server.pid, signal.SIGKILL)
+        with pytest.raises(ProcessFailed, match=r"^the fork server: "):
+            await server.start("small_program")
+        assert child.returncode is None
+        child.kill()
+        assert await child.wait() == -signal.SIGKILL
+        await child.stdout.read()
+
+
+async def test_server_that_fails_says_why(write_program):
+    write_program("pass", prepare="raise ValueError('no law')")
+    with ForkServer() as server:
+        with pytest.raises(ProcessFailed, match=r"^the fork server: it has ended$"):
+            await server.start("small_program")
+        async with server.open_output() as output:
+            assert (await output.read()).endswith(b"ValueError: no law\n")
+
+
+async def test_server_with_a_thread_refuses_to_fork(write_program):
+    thread = "threading.Thread(target=time.sleep, args=(60,), daemon=True).start()"
+    write_program("pass", prepare=thread)
+    with ForkServer() as server:
+        with pytest.raises(ProcessFailed, match="it has ended"):
+            await server.start("small_program")
+        async with server.open_output() as output:
+            said = await output.read()
+    assert b"RuntimeError: the fork server has 2 threads; allowed: 1" in said
+
+
+async def test_server_is_prepared_once_before_its_first_process(write_program):
+    write_program("pass")
+    with ForkServer() as server:
+        server.prepare()
+        async with server.open_output() as output:
+            assert await output.readline() == b"prepared\n"
+            for _ in range(2):
+                child = await server.start("small_program")
+                await child.stdout.read()
+                await child.wait()
+            os.kill(server.pid, signal.SIGKILL)
+            assert await output.read() == b""
+
+
+async def test_cancelled_start_leaves_no_process(write_program):
+    write_program(PAUSE, prepare="time.sleep(60.0)")
+    with ForkServer() as server:
+        starting = asyncio.create_task(server.start("small_program"))
+        async with server.open_output() as output:
+            await output.readline()
+        began = time.monotonic()
+        starting.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await starting
+        assert time.monotonic() - began < 30.0
+        with pytest.raises(ProcessFailed):
+            await server.start("small_program")
+
+
+def test_server_and_processes_end_when_the_run_is_killed(write_program):
+    write_program(
+        "from crazychoir.launch.process.ending import end_after_parent; "
+        f"end_after_parent(); {PAUSE}"
+    )
+    run = subprocess.run(
+        [sys.executable, "-c", RUN], stdout=subprocess.PIPE, text=True, check=False
+    )
+    assert run.returncode == -signal.SIGKILL
+    pids = [int(word) for word in run.stdout.split()]
+    assert len(pids) == 2
+    ends = time.monotonic() + 20.0
+    while any(map(is_running, pids)):
+        assert time.monotonic() < ends, "still running"
+        time.sleep(0.01)
