@@ -3,7 +3,6 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from crazychoir.bus.network import authority
 from crazychoir.bus.network.access import NetworkAccess
 from crazychoir.bus.network.endpoints import are_local
 from crazychoir.bus.port import PORT_ADDRESSES
@@ -22,6 +21,8 @@ def access_of(config: SwarmConfig, host: str, *endpoints: str) -> NetworkAccess 
     if not config.secured:
         _require_local(config, endpoints)
         return None
+    from crazychoir.bus.network import authority  # a swarm without keys needs none
+
     topology = config.topology
     owners = [(topology.dongle_host(k), f"dongle{k}") for k in topology.dongles]
     owners += [(config.mocap.host, "mocap")] if topology.seen else []

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from scipy.special import ndtri
 
 from crazychoir.config.tables import MocapTable
 from crazychoir.numerics.kernels import kernel, matrix, real, table, vector
@@ -102,8 +101,7 @@ class SimulatedMocap:
         )
         self._rows = np.array(self.ids)
         self._drawn_rows = int(self._rows.max()) + 1
-        dropout = errors.dropout
-        self._dropout_threshold = ndtri(dropout) if dropout > 0.0 else -math.inf
+        self._dropout_threshold = _find_dropout_threshold(errors.dropout)
         self._bits = np.random.Philox(key=np.array([seed % (1 << 64), 0], np.uint64))
         self._stream = np.random.Generator(self._bits)
         self._beginning = self._bits.state
@@ -145,3 +143,12 @@ class SimulatedMocap:
         drawn: Mat = self._stream.standard_normal((self._drawn_rows, 7))
         mine: Mat = drawn.take(self._rows, axis=0)
         return mine
+
+
+def _find_dropout_threshold(dropout: float) -> float:
+    """Return the standard normal below which a camera loses a body with this probability."""
+    if dropout == 0.0:
+        return -math.inf
+    from scipy.special import ndtri  # its import takes 0.1 s
+
+    return float(ndtri(dropout))

@@ -10,6 +10,10 @@ from collections.abc import Iterator
 from typing import Any
 
 
+class NotKept(Exception):
+    """A law that may only be loaded is not kept on disk."""
+
+
 class KernelQueue:
     """The laws that wait to be compiled, in the order of their import."""
 
@@ -33,6 +37,10 @@ class KernelQueue:
         self._laws = []
         for law in laws:
             law.compile()
+
+    def load_kept(self) -> None:
+        """Load the waiting laws that are compiled and kept on disk; the others go on waiting."""
+        self._laws = [law for law in self._laws if not law.load_kept()]
 
     @contextlib.contextmanager
     def checks_first(self) -> Iterator[None]:
@@ -68,6 +76,16 @@ class _WaitingKernel:
             dispatcher.compile(self._types)
             dispatcher.disable_compile()
         return dispatcher.overloads[dispatcher.nopython_signatures[0].args].entry_point
+
+    def load_kept(self) -> bool:
+        """Load the law if it is kept on disk; return whether it is ready to be called."""
+        try:
+            with self._dispatcher._cache.reading_only():
+                self.compile()
+        except NotKept:
+            self._is_compiled = False
+            self.wait()
+        return self._is_compiled
 
     def wait(self) -> None:
         """Compile the law at its first call, or when another compiled law needs it.

@@ -44,6 +44,7 @@ from crazychoir.files.user_folders import (
     first_warning,
     write_fault,
 )
+from crazychoir.numerics.compiling import NotKept
 
 locks: Any
 try:
@@ -142,6 +143,7 @@ class LawCache(NullCache):
         self._options = options
         self._busy = False
         self._turn: _CompilingTurn | None = None
+        self._only_reads = False
 
     @cached_property
     def digest(self) -> str:
@@ -187,14 +189,26 @@ class LawCache(NullCache):
         """The first folder for its files, or None."""
         return str(self._stores[0].folder) if self._stores else None
 
+    @contextmanager
+    def reading_only(self) -> Iterator[None]:
+        """Raise NotKept inside this context, instead of letting the law be compiled."""
+        self._only_reads = True
+        try:
+            yield
+        finally:
+            self._only_reads = False
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Return the machine code for the argument types `sig`.
 
         Returns None if there is none; then it is the turn of this process to compile the law.
+        Raises NotKept if there is none inside `reading_only`.
         """
         target_context.refresh()
         key = (sig, target_context.codegen().magic_tuple())
         found = self._read(key)
+        if found is None and self._only_reads:
+            raise NotKept
         if found is None:
             self._tell()
             self._turn = _CompilingTurn(

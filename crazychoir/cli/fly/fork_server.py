@@ -1,4 +1,8 @@
-"""The fork server of `crazychoir run`: it imports what the processes of a swarm import, and forks them."""
+"""The fork server of `crazychoir run`: it imports what the processes of a swarm import, and forks them.
+
+Laws that are kept on disk are loaded at once. Missing laws are compiled when `run` has checked the
+swarm: errors in a swarm file are reported before anything is compiled.
+"""
 
 import socket
 import sys
@@ -15,6 +19,7 @@ def main() -> None:
     end_after_parent()
     with KERNEL_QUEUE.checks_first():
         _import_agent()
+    KERNEL_QUEUE.load_kept()
     with socket.socket(fileno=int(sys.argv[1])) as requests:
         program = serve_forks(requests, KERNEL_QUEUE.compile)
     if program is not None:

@@ -21,8 +21,6 @@ from crazychoir.errors import Refused
 from crazychoir.guidance.mission import Mission
 from crazychoir.launch.process.owner import ProcessIdentity, run_owner
 from crazychoir.launch.process.signals import REPEAT_TIME, SIGNAL_NAMES
-from crazychoir.radio.link.ownership import own_dongle
-from crazychoir.radio.owner import RadioProcess
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
 from crazychoir.runtime.watchdog import Watchdog
@@ -160,6 +158,10 @@ def run_radios(config: SwarmConfig, dongle: int, listen: str | None) -> dict[str
 
     Raises Refused if another process owns the dongle.
     """
+    # Agents, which share this module, need no radio.
+    from crazychoir.radio.link.ownership import own_dongle
+    from crazychoir.radio.owner import RadioProcess
+
     number = PROCESS_NUMBERS.first_dongle - dongle
     host = config.topology.dongle_host(dongle)
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.near_pairs import find_nearest
 from crazychoir.platforms import Platform
 from crazychoir.types import Bools, Mat, Pose, State, Vec
 
@@ -101,6 +100,8 @@ class Truth:
         """Return the two closest drones and their distance in m; (-1, -1, inf) for one drone."""
         if len(self.ids) < 2:
             return -1, -1, math.inf
+        from crazychoir.numerics.near_pairs import find_nearest  # takes 0.1 s
+
         near = find_nearest(self.states[:, 0:3])
         i = int(near.distances.argmin())
         j = int(near.rows[i])

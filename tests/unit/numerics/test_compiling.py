@@ -51,6 +51,27 @@ def test_inside_checks_first_a_law_waits_until_all_are_compiled():
     assert len(law().signatures) == 1, "afterwards they do not wait"
 
 
+def test_only_kept_laws_are_loaded_before_the_others_are_compiled(
+    tmp_path, monkeypatch
+):
+    def scaled(x):
+        return x * 2.5
+
+    def shifted(x):
+        return x + 2.5
+
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+    kernel(real)(scaled)  # writes the machine code
+    with KERNEL_QUEUE.checks_first():
+        kept = kernel(real)(scaled)
+        missing = kernel(real)(shifted)
+    KERNEL_QUEUE.load_kept()
+    assert (len(kept.signatures), len(missing.signatures)) == (1, 0)
+    KERNEL_QUEUE.compile()
+    assert (kept(2.0), missing(2.0)) == (5.0, 4.5)
+    assert (len(kept.signatures), len(missing.signatures)) == (1, 1)
+
+
 def test_a_law_that_waits_is_compiled_for_its_own_types_alone_when_it_is_called():
     with KERNEL_QUEUE.checks_first():
         waits = law()
