@@ -80,6 +80,11 @@ class Addresses:
             else self._owners()[process]
         )
 
+    def count_remote(self, host: str | None) -> int:
+        """Return the number of processes of `endpoints` that are not on this host."""
+        hosts = [self.host_of(process) for process in self.endpoints()]
+        return sum(other not in (None, host) for other in hosts)
+
     @property
     def routers(self) -> list[str]:
         """The endpoint of the router, if there is one: then every process connects only to it."""

@@ -90,6 +90,7 @@ def configure_observer(bus: Bus, config: SwarmConfig) -> ZenohLink:
         connect=list(addresses.endpoints().values()),
         routers=addresses.routers,
         lease=config.lease,
+        remote_processes=addresses.count_remote(bus.host),
     )
     return ZenohLink(bus, own, reach, access=access_of(config, bus.host))
 

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import glob
 import json
 import os
 import secrets
@@ -534,17 +533,6 @@ async def test_an_alarm_is_heard_while_the_loop_hangs(ground: Ground) -> None:
     assert "loop hangs" in (await got)["value"]
     thread.join()
     subscriber.undeclare()
-
-
-async def test_processes_that_vanish_leave_threads_that_receive(ground: Ground) -> None:
-    """Each may block one for 10 s; what then becomes of the others needs a cut cable: see test_process_faults.py."""
-    await ground.link([0])
-    await ground.child([1])
-    await until(lambda: sum(name.startswith("rx-") for name in threads()) >= 32)
-
-
-def threads() -> list[str]:
-    return [Path(path).read_text() for path in glob.glob("/proc/self/task/*/comm")]
 
 
 async def test_a_stopped_peer_does_not_delay_the_sender(ground: Ground) -> None:

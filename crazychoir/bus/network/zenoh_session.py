@@ -37,12 +37,16 @@ class SessionRules:
     close_thread: str = "zenoh close"
     """Name of the thread in which a session may be left behind, see launch/process/ending.py.
     """
-    runtime: str = "(rx: (worker_threads: 64))"
-    """Zenoh's receiving threads.
+    runtime_variable: str = "ZENOH_RUNTIME"
+    """Environment variable with Zenoh's threads; a value that the user has set is kept."""
+    local_receivers: int = 4
+    """Receiving threads of Zenoh for this host and for observers."""
+    most_receivers: int = 64
+    """Most receiving threads of Zenoh.
 
     If a process vanishes, for example by a cut cable, Zenoh closes its connection in one of these
     threads. The thread then waits up to 10 s for the network (SO_LINGER; zenoh issues 1101, 2718). If
-    no thread is left, no message is received.
+    no thread is left, no message is received. Therefore each process of another host adds one.
     """
     kept_tokens: int = 8
     """Additional tokens of this process that are kept, the newest."""
@@ -81,6 +85,8 @@ class SessionEndpoints:
     """
     lease: float = 1.0
     """s: time without a sign of a host before its tokens disappear."""
+    remote_processes: int = 0
+    """Number of processes of the swarm on other hosts, whose links may vanish."""
 
 
 class FramePayload(Protocol):
@@ -157,6 +163,7 @@ class ZenohSession:
             self._listen, self._connect, reach.lease, mode
         )
         self._config = _zenoh_config(settings, access)
+        self._receivers = count_receivers(reach)
         self._session: zenoh.Session | None = None
         self._declared: list[Any] = []
         self._tokens: deque[Any] = deque()
@@ -177,7 +184,9 @@ class ZenohSession:
             receive_token(str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)
 
         _report_security(self._access, self._listen + self._connect)
-        session = _open_session(self._config, self._listen, self._connect)
+        session = _open_session(
+            self._config, self._listen, self._connect, self._receivers
+        )
         self._session = session
         self.is_open = True
         received = zenoh.handlers.Callback(receive, indirect=True)
@@ -338,7 +347,8 @@ class OutsideSession:
 
     def __init__(self, connect: str) -> None:
         config = _zenoh_config(endpoints.zenoh_settings([], [connect], 1.0), None)
-        self._session = _open_session(config, [], [connect])
+        threads = SESSION_RULES.local_receivers
+        self._session = _open_session(config, [], [connect], threads)
         self._declared: list[Any] = []
 
     def __enter__(self) -> Self:
@@ -375,7 +385,7 @@ def route_messages(
     """
     _report_security(access, listen)
     config = _zenoh_config(endpoints.router_settings(listen, lease), access)
-    session = _open_session(config, listen, [])
+    session = _open_session(config, listen, [], SESSION_RULES.most_receivers)
     try:
         yield
     finally:
@@ -412,16 +422,31 @@ def _zenoh_config(
     return config
 
 
+def count_receivers(reach: SessionEndpoints) -> int:
+    """Return the number of Zenoh's receiving threads for these endpoints.
+
+    A process with a router has one link, to the router.
+    """
+    remote = 1 if reach.routers else reach.remote_processes
+    return min(SESSION_RULES.local_receivers + remote, SESSION_RULES.most_receivers)
+
+
 def _open_session(
-    config: zenoh.Config, listen: list[str], connect: list[str]
+    config: zenoh.Config, listen: list[str], connect: list[str], receivers: int
 ) -> zenoh.Session:
     """Return an open session.
 
     listen, connect: endpoints in the configuration, for the error
+    receivers: number of Zenoh's receiving threads, if this is the first session of this process
     Raises ConfigError if it cannot be opened.
     """
-    os.environ.setdefault("ZENOH_RUNTIME", SESSION_RULES.runtime)
+    variable = SESSION_RULES.runtime_variable
+    chosen = os.environ.get(variable)
+    os.environ[variable] = chosen or f"(rx: (worker_threads: {receivers}))"
     try:
         return zenoh.open(config)
     except zenoh.ZError as error:
         raise endpoints.opening_error(listen, connect, str(error)) from error
+    finally:
+        if chosen is None:
+            del os.environ[variable]  # processes that start later count their own

@@ -99,6 +99,7 @@ async def run_owner(
             connect=list(connect),
             routers=addresses.routers,
             lease=config.lease,
+            remote_processes=addresses.count_remote(identity.host),
         ),
         access=access_of(config, identity.host, *filter(None, [listen])),
         on_refused=owner.refuse,

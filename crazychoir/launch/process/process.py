@@ -99,11 +99,12 @@ def _make_process_link(
 
     So there is exactly one connection between two processes.
     """
-    host = Addresses(config).endpoint(ids[0]).rsplit(":", 1)[0]
+    addresses = Addresses(config)
+    host = addresses.endpoint(ids[0]).rsplit(":", 1)[0]
     own = f"{host}:{config.base_port + ids[0]}"
     lower = [
         endpoint
-        for process, endpoint in Addresses(config).endpoints().items()
+        for process, endpoint in addresses.endpoints().items()
         if process < ids[0]
     ]
 
@@ -130,8 +131,9 @@ def _make_process_link(
         SessionEndpoints(
             listen=[listen or own],
             connect=lower if connect is None else connect,
-            routers=[] if listen or connect else Addresses(config).routers,
+            routers=[] if listen or connect else addresses.routers,
             lease=config.lease,
+            remote_processes=addresses.count_remote(config.drone(ids[0]).host),
         ),
         access=access_of(
             config, agent.bus.host, *filter(None, [listen, *(connect or ())])

@@ -42,6 +42,25 @@ def test_endpoint_of_a_host(address: str, endpoint: str) -> None:
     assert Addresses(SwarmConfig.of(raw)).endpoint(0) == endpoint
 
 
+def test_processes_of_other_hosts_are_counted() -> None:
+    assert Addresses(square()).count_remote(None) == 0
+    raw = {
+        "name": "a",
+        "hosts": {"lab": "10.0.0.7", "desk": "10.0.0.8"},
+        "security": {"operators": ["lab"]},
+        "world": {"host": "desk", "owned": True},
+        "drones": [
+            {"id": 0, "home": [0, 0, 0], "host": "lab"},
+            {"id": 1, "home": [1, 0, 0], "host": "lab"},
+            {"id": 2, "home": [2, 0, 0], "host": "desk"},
+        ],
+    }
+    addresses = Addresses(SwarmConfig.of(raw))
+    assert addresses.count_remote("lab") == 2
+    assert addresses.count_remote("desk") == 2
+    assert addresses.count_remote("laptop") == 4
+
+
 def test_the_owner_of_the_world_is_reached_before_all_agents() -> None:
     assert list(
         Addresses(square("world.owned = true\nbase_port = 9000")).endpoints().items()

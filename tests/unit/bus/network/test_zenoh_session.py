@@ -1,11 +1,17 @@
 """What a session does with its settings and with errors of Zenoh, without a network."""
 
+import os
+
 import pytest
 import zenoh
 
 from crazychoir.bus.network.link_counters import LinkCounters
 from crazychoir.bus.network.link_keys import LinkKeys
-from crazychoir.bus.network.zenoh_session import SessionEndpoints, ZenohSession
+from crazychoir.bus.network.zenoh_session import (
+    SessionEndpoints,
+    ZenohSession,
+    count_receivers,
+)
 from crazychoir.bus.topics import MessageClass
 from crazychoir.errors import ConfigError
 
@@ -50,6 +56,37 @@ def test_a_router_replaces_all_other_endpoints():
     assert config.get_json("listen/endpoints") == "[]"
     assert "127.0.0.1:3" in config.get_json("connect/endpoints")
     assert "127.0.0.1:2" not in config.get_json("connect/endpoints")
+
+
+@pytest.mark.parametrize(
+    ("reach", "receivers"),
+    [
+        (SessionEndpoints([], []), 4),
+        (SessionEndpoints([], [], remote_processes=30), 34),
+        (SessionEndpoints([], [], remote_processes=300), 64),
+        (SessionEndpoints([], [], ["tcp/10.0.0.1:1"], remote_processes=30), 5),
+    ],
+)
+def test_receiving_threads_follow_the_links_that_may_vanish(reach, receivers):
+    assert count_receivers(reach) == receivers
+
+
+@pytest.mark.parametrize("chosen", [None, "(rx: (worker_threads: 3))"])
+def test_a_session_leaves_the_environment_as_it_was(monkeypatch, chosen):
+    monkeypatch.delenv("ZENOH_RUNTIME", raising=False)
+    if chosen is not None:
+        monkeypatch.setenv("ZENOH_RUNTIME", chosen)
+    seen = []
+
+    def opens(config):
+        seen.append(os.environ["ZENOH_RUNTIME"])
+        raise zenoh.ZError("no network")
+
+    monkeypatch.setattr(zenoh, "open", opens)
+    with pytest.raises(ConfigError):
+        make_session().open(seen.append, seen.append)
+    assert seen == [chosen or "(rx: (worker_threads: 4))"]
+    assert os.environ.get("ZENOH_RUNTIME") == chosen
 
 
 def test_the_longest_put_and_refused_frames_are_counted():
