@@ -23,17 +23,20 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help demo test check reference docs bench paper campaign clean
+.PHONY: help compile demo test check reference docs bench paper campaign clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 	@echo "  PYTHON=python3.13 chooses the interpreter of $(VENV) (3.11 to 3.13); now: $(PYTHON)"
 
-demo: $(VENV)/.installed  ## six drones in six processes plan and fly pickups and deliveries; 20 % of messages lost
+compile: $(VENV)/.installed  ## compile all laws, once: a minute or two
+	@$(BIN)/crazychoir compile
+
+demo: compile  ## six drones in six processes plan and fly pickups and deliveries; 20 % of messages lost
 	@mkdir -p out
 	$(BIN)/crazychoir run pickup_delivery --processes 6 --loss 0.2 --seed 1 --picture out/routes.png
 
-test: $(VENV)/.installed-test  ## all tests but the campaigns, with ruff, mypy and the import contract
+test: $(VENV)/.installed-test compile  ## all tests but the campaigns, with ruff, mypy and the import contract
 	@mkdir -p out
 	@echo "What runs in real time is shown here; what only computes runs beside it, and is shown afterwards."
 	@$(IDLE) $(BIN)/python -m pytest -n auto --dist loadfile -m "not (slow or real_time)" \
@@ -53,13 +56,13 @@ reference: $(VENV)/.installed-test  ## write the generated tables of the READMEs
 docs: $(VENV)/.installed-docs  ## the documentation as a site: out/docs/index.html
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --strict
 
-bench: $(VENV)/.installed-bench  ## measure, beside CycloneDDS and MPI
+bench: $(VENV)/.installed-bench compile  ## measure, beside CycloneDDS and MPI
 	$(BIN)/crazychoir bench all
 
-paper: $(VENV)/.installed-bench  ## tables and pictures of the routing's benchmarks, into out/paper: an hour
+paper: $(VENV)/.installed-bench compile  ## tables and pictures of the routing's benchmarks, into out/paper: an hour
 	$(BIN)/crazychoir bench paper --out out/paper
 
-campaign: $(VENV)/.installed-test  ## ten thousand seeds of faults in virtual time, then the long tests
+campaign: $(VENV)/.installed-test compile  ## ten thousand seeds of faults in virtual time, then the long tests
 	cd tests && ../$(BIN)/python -m campaign 0-9999
 	$(BIN)/python -m pytest -m slow
 

@@ -12,6 +12,7 @@ from crazychoir.cli.fly import missions, run, virtual
 from crazychoir.cli.operate import dashboard, go_to, inspect, orders, param, task
 from crazychoir.cli.recordings import convert, plot, record, render, replay, rerun, ros
 from crazychoir.cli.setup import (
+    compile_laws,
     doctor,
     identify,
     keys,
@@ -65,6 +66,7 @@ COMMANDS_BY_GROUP: dict[CommandGroup, dict[str, Callable[..., None]]] = {
     CommandGroup.compute: {"solve": solve.solve, "simulate": simulate.simulate},
     CommandGroup.setup: {
         "doctor": doctor.doctor,
+        "compile": compile_laws.compile_laws,
         "push": push.push,
         "router": router.router,
         "identify": identify.identify,

@@ -246,7 +246,11 @@ async def _run_owner(
         ):
             say(f"{owner.name}: its owner {_describe_end(child)}: started again")
             starts = [*starts[1:], now()]
-            child = await launcher.start_owner(owner)
+            try:
+                child = await launcher.start_owner(owner)
+            except ProcessFailed as failed:
+                say(f"{owner.name}: {failed}")
+                break
             if over.is_set():
                 await _end_all([child], END_GRACE)
             await _pass_on_output(child, say)

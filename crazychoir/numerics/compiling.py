@@ -6,7 +6,7 @@ that.
 """
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 
@@ -30,13 +30,21 @@ class KernelQueue:
         else:
             law.compile()
 
-    def compile(self) -> None:
-        """Compile all waiting laws. Laws imported from now on are compiled at once."""
+    def count_waiting(self) -> int:
+        """Return the number of laws that wait."""
+        return len(self._laws)
+
+    def compile(self, report: Callable[[], object] = lambda: None) -> None:
+        """Compile all waiting laws. Laws imported from now on are compiled at once.
+
+        report: called after each law
+        """
         self._is_waiting = False
         laws = self._laws
         self._laws = []
         for law in laws:
             law.compile()
+            report()
 
     def load_kept(self) -> None:
         """Load the waiting laws that are compiled and kept on disk; the others go on waiting."""

@@ -266,7 +266,7 @@ def push_steps(
             PUSH_SETTINGS.install_timeout,
         )
     # Compile the kernels once, before the agents of the host start together and wait for them.
-    laws = f"{PUSH_SETTINGS.folder}/venv/bin/python -c 'import crazychoir.launch.process.process'"
+    laws = f"{PUSH_SETTINGS.folder}/venv/bin/crazychoir compile"
     yield PushStep(
         "laws compiled",
         (*PUSH_SETTINGS.ssh_command, at, laws),

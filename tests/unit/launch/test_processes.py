@@ -307,6 +307,75 @@ async def test_without_a_dongle_for_good_only_agents_of_its_drones_end(
     )
 
 
+async def test_an_owner_that_cannot_be_started_again_ends_its_agents(
+    tmp_path, monkeypatch
+):
+    children, said = [], []
+
+    async def start(group, result):
+        children.append(await handling_child("time.sleep(600)", tmp_path / "ready"))
+        return children[-1]
+
+    async def start_owner(owner):
+        if said:
+            raise ProcessFailed("the fork server", "it has ended")
+        return await child("exit(1)")
+
+    monkeypatch.setattr(processes, "ORPHAN_GRACE", 0.3)
+    await run_children(
+        Launcher(tmp_path, start, start_owner),
+        [(0,)],
+        default_swarm(1),
+        said.append,
+        owners=[Owner("mocap", "", again=True)],
+    )
+    assert children[0].returncode == 3
+    assert "mocap: the fork server: it has ended" in said
+
+
+async def test_agents_that_are_not_started_before_a_signal_never_are(tmp_path):
+    children, started = [], []
+
+    async def start(group, result):
+        started.append(group)
+        if group == (1,):
+            os.kill(os.getpid(), signal.SIGINT)
+            await asyncio.sleep(600.0)
+        ready = WAITS.format(int(signal.SIGINT))
+        children.append(await child(ready))
+        assert await children[-1].stdout.readline() == b"on\n"
+        return children[-1]
+
+    found = await run_children(
+        Launcher(tmp_path, start),
+        [(0,), (1,), (2,)],
+        default_swarm(3),
+        lambda line: None,
+    )
+    assert found == {}
+    assert started == [(0,), (1,)]
+    assert [each.returncode for each in children] == [3]
+
+
+async def test_an_agent_that_cannot_be_started_ends_the_run(tmp_path):
+    children = []
+
+    async def start(group, result):
+        if group == (1,):
+            raise ProcessFailed("the fork server", "it has ended")
+        children.append(await handling_child("time.sleep(600)", tmp_path / "ready"))
+        return children[-1]
+
+    with pytest.raises(ProcessFailed, match="it has ended"):
+        await run_children(
+            Launcher(tmp_path, start),
+            [(0,), (1,)],
+            default_swarm(2),
+            lambda line: None,
+        )
+    assert children[0].returncode == 3
+
+
 async def test_a_signal_is_passed_on_as_what_it_is(tmp_path, monkeypatch):
     children, said = [], []
 

@@ -248,7 +248,7 @@ def test_a_dry_push_prints_each_step_and_does_nothing(lab, repository, monkeypat
     )
     assert sum(".service" in line for line in lines) == len(UNITS)
     assert re.search(r"pip install --quiet crazychoir==\d", lines[-2])
-    assert "import crazychoir.launch.process.process" in lines[-1]
+    assert "bin/crazychoir compile" in lines[-1]
 
 
 def test_a_push_puts_all_in_its_place(lab, repository, tmp_path, monkeypatch):
@@ -281,7 +281,7 @@ def test_a_push_puts_all_in_its_place(lab, repository, tmp_path, monkeypatch):
     assert len(list((there / ".config/systemd/user").iterdir())) == len(UNITS)
     *_, installed, compiled = (there / "said").read_text().splitlines()
     assert installed.startswith("choir/venv/bin/pip install --quiet crazychoir==")
-    assert compiled.startswith("choir/venv/bin/python -c")
+    assert compiled == "choir/venv/bin/crazychoir compile"
 
 
 def test_a_push_of_what_units_do_not_read_is_refused(lab):
