@@ -511,6 +511,10 @@ async def others_wait(swarm):
     assert "the others wait no more" in said.err
 
 
+RUN_CHILDREN = 3
+"""Two agents, and the fork server that has made them."""
+
+
 def children_of(pid):
     """Ids of its processes."""
     return [
@@ -591,7 +595,7 @@ async def interrupt(program, swarm, folder):
     """Ctrl-C in the air."""
     async with flown_by(program, *swarm, folder) as (flying, team):
         children = children_of(flying.process.pid)
-        assert len(children) == (2 if program == "run" else 0)
+        assert len(children) == (RUN_CHILDREN if program == "run" else 0)
         said = await look("status", "--swarm", swarm[0], "--json")
         assert set(said.json) == {"0", "1", "2", "3"}, (
             "the status of the flown file shows all its drones"
@@ -613,7 +617,7 @@ async def test_children_land_and_end_when_their_parent_is_killed(
 ):
     async with flown_by("run", *four, tmp_path) as (flying, team):
         children = children_of(flying.process.pid)
-        assert len(children) == 2
+        assert len(children) == RUN_CHILDREN
         await flying.kill()
         try:
             await until(
