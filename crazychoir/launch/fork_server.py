@@ -154,7 +154,7 @@ class ForkServer:
             transport.close()
 
     def prepare(self) -> None:
-        """Let the server load the compiled laws, and compile those that are missing.
+        """Let the server compile the laws that are not kept on disk.
 
         The first process needs them. Before this call the server only imports.
         """

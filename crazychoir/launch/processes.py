@@ -190,7 +190,7 @@ async def _run_agents(
 ) -> None:
     """Start one process for each group, and wait until all have ended.
 
-    A signal is passed on to the processes. Those that have not been started then never are.
+    A signal is passed on to the started processes; after it no further process is started.
     """
 
     async def start_all() -> None:

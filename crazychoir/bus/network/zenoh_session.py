@@ -86,7 +86,7 @@ class SessionEndpoints:
     lease: float = 1.0
     """s: time without a sign of a host before its tokens disappear."""
     remote_processes: int = 0
-    """Number of processes of the swarm on other hosts, whose links may vanish."""
+    """Number of processes of the swarm on other hosts. Links to these may vanish."""
 
 
 class FramePayload(Protocol):
