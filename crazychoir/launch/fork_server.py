@@ -38,6 +38,8 @@ SERVER_MODULE = "crazychoir.cli.fly.fork_server"
 """Module that runs as the fork server."""
 SERVER_NAME = "the fork server"
 """Name of the server in errors."""
+UNKNOWN_EXIT_CODE = 255
+"""Exit code where the system has kept none."""
 REQUEST_SIZE = 1 << 18
 """Most bytes of a request or of its answer; the environment takes most of them."""
 
@@ -87,8 +89,12 @@ class ForkedProcess:
     def _reap(self) -> None:
         asyncio.get_running_loop().remove_reader(self._descriptor)
         os.close(self._descriptor)
-        _, status = os.waitpid(self.pid, 0)
-        self.returncode = os.waitstatus_to_exitcode(status)
+        try:
+            _, status = os.waitpid(self.pid, 0)
+        except ChildProcessError:  # this process ignores SIGCHLD
+            self.returncode = UNKNOWN_EXIT_CODE
+        else:
+            self.returncode = os.waitstatus_to_exitcode(status)
         self._has_ended.set()
 
     async def wait(self) -> int | None:
@@ -156,7 +162,7 @@ class ForkServer:
     def prepare(self) -> None:
         """Let the server compile the laws that are not kept on disk.
 
-        The first process needs them. Before this call the server only imports.
+        Before this call the server only imports, and loads the laws that are kept.
         """
         with contextlib.suppress(OSError):  # `start` reports a server that has ended
             self._requests.send(b"{}")

@@ -13,6 +13,7 @@ import gc
 import importlib
 import os
 import random
+import signal
 import socket
 import sys
 import traceback
@@ -106,13 +107,16 @@ def serve_forks(
 
 
 def _get_ready_to_fork() -> None:
-    """Move all objects out of the sight of the garbage collector: it would copy their memory.
+    """Let this process notice the ends of the processes below it, and keep its memory shared.
+
+    The garbage collector would copy the memory of each object that it visits.
 
     Raises RuntimeError if this process has more than one thread.
     """
     threads = len(list(THREADS_FOLDER.iterdir()))
     if threads != 1:
         raise RuntimeError(f"the fork server has {threads} threads; allowed: 1")
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # the run may ignore it
     gc.collect()
     gc.freeze()
 

@@ -176,6 +176,17 @@ async def test_many_processes_start_at_once_and_end_in_any_order(write_program):
     assert codes == list(range(12))
 
 
+async def test_end_is_noticed_where_the_system_keeps_no_exit_codes(write_program):
+    write_program("sys.exit(3)")
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        async with asyncio.timeout(30.0):
+            code, _ = await run_program()
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+    assert code == 255
+
+
 async def test_signals_reach_the_process(write_program):
     write_program(PAUSE)
     with ForkServer() as server:
