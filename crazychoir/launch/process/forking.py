@@ -175,9 +175,9 @@ def _show_command_line(*words: str) -> None:
 
 def _forget_random_state() -> None:
     """Give this process random numbers of its own: those of numpy would be the same in all."""
-    numpy = sys.modules.get("numpy")
-    if numpy is not None:
-        numpy.random.seed(random.SystemRandom().getrandbits(32))
+    shared = sys.modules.get("numpy.random")
+    if shared is not None:
+        shared.seed(random.SystemRandom().getrandbits(32))
 
 
 def _read_exit_code(ended: SystemExit) -> int:

@@ -19,7 +19,7 @@ SERVER = """
 from crazychoir.cli.fly.process_command import limit_matrix_threads
 limit_matrix_threads()
 import socket, sys, threading, time
-import numpy
+import numpy.random
 from crazychoir.launch.process.ending import end_after_parent
 from crazychoir.launch.process.forking import serve_forks
 
