@@ -165,7 +165,7 @@ def _show_command_line(*words: str) -> None:
     It is written over the command line and the environment with which the server was started. Both
     are in use no more: Python has copied them, and this process has set its environment anew.
     """
-    fields = STATE_FILE.read_text().rpartition(")")[2].split()
+    fields = STATE_FILE.read_text("utf-8", "replace").rpartition(")")[2].split()
     start = int(fields[ARGUMENTS_START])
     room = int(fields[ENVIRONMENT_END]) - start
     text = os.fsencode(" ".join(words))[: room - 1]
