@@ -42,6 +42,8 @@ UNKNOWN_EXIT_CODE = 255
 """Exit code where the system has kept none."""
 REQUEST_SIZE = 1 << 18
 """Most bytes of a request or of its answer; the environment takes most of them."""
+WITHOUT_PROCESS = b"{}"
+"""Request without a process: the server prepares itself, and releases the processes that it holds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +58,8 @@ class ForkRequest:
     """Working directory."""
     environment: dict[str, str]
     """Environment variables."""
+    is_held: bool
+    """Whether the process waits for `release` before it runs the module."""
 
     def encode(self) -> bytes:
         """Return the request as bytes."""
@@ -165,16 +169,21 @@ class ForkServer:
         Before this call the server only imports, and loads the laws that are kept.
         """
         with contextlib.suppress(OSError):  # `start` reports a server that has ended
-            self._requests.send(b"{}")
+            self._requests.send(WITHOUT_PROCESS)
 
-    async def start(self, module: str, *words: str) -> ForkedProcess:
+    async def start(
+        self, module: str, *words: str, is_held: bool = False
+    ) -> ForkedProcess:
         """Start a process that runs a module, in its own session.
 
         module: module with a function `main` that reads the command line
         words: words of its command line
+        is_held: whether the process waits for `release` before it runs the module
         Raises ProcessFailed if there is no such process, because the server has ended.
         """
-        request = ForkRequest(module, words, os.getcwd(), child_environment())
+        request = ForkRequest(
+            module, words, os.getcwd(), child_environment(), is_held
+        )
         read, write = os.pipe()
         try:
             async with self._one_at_a_time:
@@ -189,6 +198,17 @@ class ForkServer:
             raise ProcessFailed(SERVER_NAME, answer)
         reader, _ = await _open_reader(read)
         return ForkedProcess(int(answer), reader)
+
+    def release(self) -> None:
+        """Let all held processes run.
+
+        Raises ProcessFailed if the server has ended: then they have ended too.
+        """
+        try:
+            self._requests.send(WITHOUT_PROCESS)
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise ProcessFailed(SERVER_NAME, reason) from error
 
     async def _ask(self, request: ForkRequest, output: int) -> str:
         """Return the number of the new process, or the reason why there is none.

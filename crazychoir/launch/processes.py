@@ -113,14 +113,22 @@ class SwarmLauncher:
         return self.path.with_name(f"result-{group[0]}")
 
     async def start_agent(self, group: tuple[int, ...]) -> ForkedProcess:
-        """Start an agent with these drones."""
+        """Start an agent with these drones, which waits until all agents are released."""
         ids = [word for i in group for word in ("--id", str(i))]
         return await self.server.start(
             AGENT_MODULE,
             *("--swarm", str(self.path)),
             *ids,
             *("--child", str(self.result_file(group))),
+            is_held=True,
         )
+
+    def release_agents(self) -> None:
+        """Let all agents run.
+
+        Agents that ran earlier would slow down the starts of the others.
+        """
+        self.server.release()
 
     async def start_owner(self, owner: Owner) -> ForkedProcess:
         """Start the process of an owner."""
@@ -196,6 +204,7 @@ async def _run_agents(
     async def start_all() -> None:
         for group in groups:
             children[group] = await launcher.start_agent(group)
+        launcher.release_agents()
 
     async def until_its_end(group: tuple[int, ...]) -> None:
         await _pass_on_output(children[group], say)

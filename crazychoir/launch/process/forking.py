@@ -67,6 +67,7 @@ class ForkedProgram:
     def _take_over(self) -> None:
         """Replace what this process has from the fork server."""
         os.setsid()
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         for standard in STANDARD_OUTPUTS:
             os.dup2(self.output, standard)
         os.close(self.output)
@@ -89,6 +90,7 @@ def serve_forks(
     end.
     """
     is_prepared = False
+    held: list[socket.socket] = []
     while True:
         data, descriptors, _, _ = socket.recv_fds(requests, REQUEST_SIZE, 1)
         if not data:
@@ -98,12 +100,19 @@ def serve_forks(
             _get_ready_to_fork()
             is_prepared = True
         if not descriptors:
+            _release(held)
+            held = []
             continue
         program = ForkedProgram(ForkRequest.decode(data), descriptors[0])
-        if _fork_for_adoption(requests):
+        waiting = _fork_for_adoption(requests, held)
+        if waiting is None:
             requests.close()
             return program
         os.close(program.output)
+        if program.request.is_held:
+            held.append(waiting)
+        else:
+            _release([waiting])
 
 
 def _get_ready_to_fork() -> None:
@@ -117,36 +126,45 @@ def _get_ready_to_fork() -> None:
     if threads != 1:
         raise RuntimeError(f"the fork server has {threads} threads; allowed: 1")
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # the run may ignore it
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # it ends a process that waits
     gc.collect()
     gc.freeze()
 
 
-def _fork_for_adoption(requests: socket.socket) -> bool:
+def _fork_for_adoption(
+    requests: socket.socket, held: list[socket.socket]
+) -> socket.socket | None:
     """Fork a process that the run adopts, and send its number to the run.
 
-    Returns True in the new process, once the run has adopted it and knows its number. If the server
-    ends before, the new process ends too.
+    held: sockets of the processes that wait
+    Returns in the server the socket of the new process, which waits. Returns None in the new
+    process, once it is released. If the server ends before, the new process ends too.
     """
     ours, theirs = socket.socketpair()
-    with ours, theirs:
+    with theirs:
         middle = os.fork()
         if middle == 0:
-            ours.close()
+            for one in (ours, *held):  # else they stay open when the server ends
+                one.close()
             _fork_and_leave(theirs)
-            return True
-        theirs.close()
-        number = ours.recv(PROCESS_NUMBER_SIZE)
-        os.waitpid(middle, 0)  # the run has adopted the new process
-        requests.send(number or b"the system allows no further process")
-        with contextlib.suppress(OSError):  # it was killed meanwhile
-            ours.send(b"go")
-    return False
+            return None
+    number = ours.recv(PROCESS_NUMBER_SIZE)
+    os.waitpid(middle, 0)  # the run has adopted the new process
+    requests.send(number or b"the system allows no further process")
+    return ours
+
+
+def _release(waiting: list[socket.socket]) -> None:
+    """Let processes run that wait at the other ends of these sockets."""
+    for one in waiting:
+        with one, contextlib.suppress(OSError):  # it was killed meanwhile
+            one.send(b"go")
 
 
 def _fork_and_leave(server: socket.socket) -> None:
     """Fork a process, send its number to the server, and end; return in the new process.
 
-    The new process waits here for the word of the server.
+    The new process waits here until the server releases it.
     """
     try:
         number = os.fork()

@@ -176,6 +176,57 @@ async def test_many_processes_start_at_once_and_end_in_any_order(write_program):
     assert codes == list(range(12))
 
 
+async def test_held_processes_run_once_they_are_released(write_program):
+    write_program("print('ran', flush=True)")
+    with ForkServer() as server:
+        held = [await server.start("small_program", is_held=True) for _ in range(3)]
+        free = await server.start("small_program")
+        assert await free.stdout.read() == b"ran\n"
+        reading = [asyncio.create_task(child.stdout.read()) for child in held]
+        _, waiting = await asyncio.wait(reading, timeout=0.3)
+        assert len(waiting) == 3
+        server.release()
+        assert [await one for one in reading] == [b"ran\n"] * 3
+        assert [await child.wait() for child in held] == [0] * 3
+
+
+async def test_held_processes_end_with_their_server_and_cannot_be_released(
+    write_program,
+):
+    write_program("print('ran')")
+    with ForkServer() as server:
+        held = [await server.start("small_program", is_held=True) for _ in range(3)]
+        os.kill(server.pid, signal.SIGKILL)
+        async with asyncio.timeout(30.0):
+            assert [await child.wait() for child in held] == [1] * 3
+        assert [await child.stdout.read() for child in held] == [b""] * 3
+        with pytest.raises(ProcessFailed, match=r"^the fork server: "):
+            server.release()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+async def test_signal_ends_a_held_process_without_a_word(write_program, number):
+    write_program("print('ran')")
+    with ForkServer() as server:
+        child = await server.start("small_program", is_held=True)
+        child.send_signal(number)
+        assert await child.wait() == -number
+        async with server.open_output() as output:
+            assert await output.readline() == b"prepared\n"
+            server.release()
+            other = await server.start("small_program")
+            assert await other.wait() == 0
+            os.kill(server.pid, signal.SIGKILL)
+            assert await output.read() == b""
+
+
+async def test_program_gets_the_signal_of_the_keyboard_as_python_does(write_program):
+    write_program("os.kill(os.getpid(), signal.SIGINT); time.sleep(30)")
+    code, output = await run_program()
+    assert code == 1
+    assert output.endswith("KeyboardInterrupt\n")
+
+
 async def test_end_is_noticed_where_the_system_keeps_no_exit_codes(write_program):
     write_program("sys.exit(3)")
     before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)

@@ -61,6 +61,9 @@ class Launcher:
     async def start_agent(self, group):
         return await self._start_agent(group, self.result_file(group))
 
+    def release_agents(self):
+        pass
+
     @contextlib.asynccontextmanager
     async def pass_on_own_output(self, say):
         yield
