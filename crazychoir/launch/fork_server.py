@@ -181,9 +181,7 @@ class ForkServer:
         is_held: whether the process waits for `release` before it runs the module
         Raises ProcessFailed if there is no such process, because the server has ended.
         """
-        request = ForkRequest(
-            module, words, os.getcwd(), child_environment(), is_held
-        )
+        request = ForkRequest(module, words, os.getcwd(), child_environment(), is_held)
         read, write = os.pipe()
         try:
             async with self._one_at_a_time:

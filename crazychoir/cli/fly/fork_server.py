@@ -7,6 +7,8 @@ swarm: errors in a swarm file are reported before anything is compiled.
 import socket
 import sys
 
+import typer
+
 from crazychoir.cli.fly.process_command import limit_matrix_threads
 from crazychoir.launch.process.ending import end_after_parent
 from crazychoir.launch.process.forking import serve_forks
@@ -30,11 +32,14 @@ def _import_agent() -> None:
     """Import what an agent imports."""
     import uvloop  # noqa: F401
 
-    import crazychoir.cli.fly.agent
     import crazychoir.cli.shared.chosen_swarm
     import crazychoir.guidance.mission
     import crazychoir.launch.process.process
     import crazychoir.launch.processes  # noqa: F401
+    from crazychoir.cli.fly import agent
+
+    # typer imports for a tenth of a second when it reads a first command line.
+    typer.main.get_command(agent.app).make_context("agent", ["--id", "0"])
 
 
 if __name__ == "__main__":
