@@ -324,6 +324,8 @@ class Status(Wire, frozen=True, array_like=True, gc=False):
     """s: how far the clock of each other host is ahead of our own."""
     offset_errors: list[float] = []
     """s: error bound of each offset."""
+    link_faults: list[str] = []
+    """Counts of what went wrong on the link of its process, as "full 3", without zeros."""
 
 
 class Body(Wire, frozen=True, array_like=True, gc=False):

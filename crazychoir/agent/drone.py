@@ -101,4 +101,5 @@ class Drone:
             hosts=list(offsets),
             offsets=[found.offset for found in offsets.values()],
             offset_errors=[found.error for found in offsets.values()],
+            link_faults=self.port.bus.link_faults,
         )

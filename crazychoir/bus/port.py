@@ -254,6 +254,7 @@ class Bus:
     """All ports of one process.
 
     offsets: clock offset of each other host, to be shown
+    link_faults: counts of what went wrong on the link to other processes, to be shown
     unroutable: messages without a receiver
     stopped: True while an emergency stop is in force
     tap: callable that gets every arriving message, or None
@@ -275,6 +276,7 @@ class Bus:
         self.ports: dict[int, Port] = {}
         self.forwarder: Forwarder | None = None
         self.offsets: dict[str, OffsetEstimate] = {}
+        self.link_faults: list[str] = []
         self.interests: list[Interest] = []
         self.unroutable = 0
         self.stopped = False

@@ -342,7 +342,8 @@ def build_status_table(score: "FlightScore") -> Group:
         )
         if status.note:
             below.append(_fit_on_line(f"drone {i}: {status.note}"))
-    below += [_fit_on_line(text) for text in _describe_clocks(score.statuses.values())]
+    for describe in (_describe_clocks, _describe_links):
+        below += [_fit_on_line(text) for text in describe(score.statuses.values())]
     if marked:
         below.append(
             _fit_on_line(
@@ -381,6 +382,16 @@ def _describe_clocks(statuses: Iterable["Status"]) -> list[str]:
                 f"the clock of host {host} is {how}, within {error:.6f} s",
             )
     return list(said.values())
+
+
+def _describe_links(statuses: Iterable["Status"]) -> list[str]:
+    """Return one line for each process with a link that has dropped frames or was broken."""
+    faults = {
+        status.process: ", ".join(status.link_faults)
+        for status in statuses
+        if status.link_faults
+    }
+    return [f"link of process {process}: {text}" for process, text in faults.items()]
 
 
 def _fit_on_line(text: str) -> Text:

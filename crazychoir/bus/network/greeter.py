@@ -104,6 +104,7 @@ class Greeter:
             self._greet_estranged(gone_too=tick % HELLO_TIMING.asking_rate == 0)
             if tick % HELLO_TIMING.asking_rate == 0:
                 self._ask_clocks()
+                self._bus.link_faults = self._counters.list_faults()
             if tick % (HELLO_TIMING.check_period * HELLO_TIMING.asking_rate) == 0:
                 self._check_connections()
 

@@ -2,6 +2,9 @@
 
 from dataclasses import dataclass
 
+FAULT_COUNTS = ("full", "broken", "overtaken", "flooded")
+"""Counts that the operator sees during a flight, unless they are zero."""
+
 
 @dataclass
 class LinkCounters:
@@ -46,3 +49,8 @@ class LinkCounters:
     """Additional tokens, declared because another process lost ours."""
     worst_put_s: float = 0.0
     """s: longest put."""
+
+    def list_faults(self) -> list[str]:
+        """Return the name and value of each of FAULT_COUNTS that is not zero."""
+        counts = {name: getattr(self, name) for name in FAULT_COUNTS}
+        return [f"{name} {count}" for name, count in counts.items() if count]

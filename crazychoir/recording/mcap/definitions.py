@@ -105,7 +105,8 @@ bool stopped  # an emergency stop of the swarm is in force
 bool grave  # the operator should act upon the note
 string[] hosts  # others
 float64[] offsets  # s, how far their clocks are ahead
-float64[] offset_errors  # s""",
+float64[] offset_errors  # s
+string[] link_faults  # name and count of what went wrong on the link of its process""",
     "crazychoir_msgs/Value": """\
 std_msgs/Header header
 string json  # null for what is not finite""",

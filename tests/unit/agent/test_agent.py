@@ -195,7 +195,9 @@ def test_after_an_emergency_stop_the_agent_says_what_it_waits_for_and_an_operato
         agent.bus.stopped = True
         agent.commands[0].stop(True)
         await clock.sleep(60.0)
+        agent.bus.link_faults = ["full 3"]
         status = agent.drones[0].status()
+        assert status.link_faults == ["full 3"]
         assert (status.phase, status.note, status.stopped) == (
             "stopped",
             MISSION_REASONS.stays,

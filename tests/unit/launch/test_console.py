@@ -180,6 +180,16 @@ def test_a_line_a_pair_of_hosts_says_how_far_their_clocks_are_apart():
     ]
 
 
+def test_faults_of_a_link_are_one_line_for_its_process():
+    faulty = Status("x", process="0-a", link_faults=["full 12", "broken 1"])
+    statuses = {0: faulty, 1: faulty, 2: Status("x", process="2-b")}
+    score = SimpleNamespace(ids=(0, 1, 2), statuses=statuses)
+    lines = printed(show.build_status_table(score)).splitlines()
+    assert [line.rstrip() for line in lines if "link" in line] == [
+        "link of process 0-a: full 12, broken 1"
+    ]
+
+
 def test_a_run_says_which_drones_it_started_when_not_all():
     assert "started here" not in printed(show.build_summary_table(RUN))
     rows = printed(show.build_summary_table(RUN | {"here": [2, 3]})).splitlines()

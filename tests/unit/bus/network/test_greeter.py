@@ -1,5 +1,6 @@
 """How processes get to know each other, without a network."""
 
+import asyncio
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from crazychoir.bus.network.link_counters import LinkCounters
 from crazychoir.bus.network.local_address import LocalAddress
 from crazychoir.bus.network.lost_tokens import LOST_TOKEN_LIMITS
 from crazychoir.bus.topics import MESSAGE_TOPICS
+from crazychoir.runtime.clock import run_virtual
 
 HELLO_TOPIC = MESSAGE_TOPICS.hello
 
@@ -193,6 +195,7 @@ def test_a_process_that_hears_us_and_lost_our_token_gets_another_one():
     forgetful = make_hello("1-2", heard=[]).payload()
     for _ in range(LOST_TOKEN_LIMITS.patience - 1):
         meeting.meet_stranger("1-2", forgetful)
+        meeting.answered()
     assert meeting.session.tokens == 0
     meeting.meet_stranger("1-2", forgetful)
     assert meeting.session.tokens == 1
@@ -203,8 +206,22 @@ def test_a_closed_session_declares_no_token_and_greets_no_stranger():
     meeting.session.is_open = False
     for _ in range(LOST_TOKEN_LIMITS.patience):
         meeting.meet_stranger("1-2", make_hello("1-2", heard=[]).payload())
+        assert meeting.answered() == []
     assert meeting.session.tokens == 0
-    assert meeting.answered() == []
+
+
+def test_faults_of_the_link_are_shown_within_a_second():
+    meeting = Meeting()
+    meeting.counters.full = 3
+
+    async def main(clock):
+        meeting.bus.clock = clock
+        running = asyncio.create_task(meeting.greeter.run())
+        await clock.sleep(1.1)
+        running.cancel()
+
+    run_virtual(main)
+    assert meeting.bus.link_faults == ["full 3"]
 
 
 def test_messages_that_cannot_be_decoded_are_counted():

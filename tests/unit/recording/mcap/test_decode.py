@@ -66,6 +66,7 @@ SAID = [
         "note",
     ),
     Status("mission", hosts=["b"], offsets=[1000.5], offset_errors=[0.001]),
+    Status("mission", link_faults=["full 12", "broken 1"]),
     "a line",
     {"success": True, "place": [1.0, 2.0]},
     Plan(np.ones((1, 25)), 0.5, np.zeros((0, 25)), 0.0, 3, {0: 2}, np.zeros(0)),
