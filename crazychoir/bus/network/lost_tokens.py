@@ -19,7 +19,11 @@ class LostTokenLimits:
     """When a process repairs tokens that were lost, and how many processes it keeps for that."""
 
     patience: int = 4
-    """HELLOs without us before we declare another token; then twice as many each time."""
+    """Times that HELLO of a process was without us before we declare another token.
+
+    Then twice as many each time. However many HELLOs arrive between two calls of `due`, they count
+    as one: many processes that start together send each other many.
+    """
     departed_processes: int = 64
     """Departed processes that are remembered, the newest: their links may come back."""
     answered_strangers: int = 64
@@ -38,6 +42,10 @@ class TokenRepair:
         self._strangers: dict[str, None] = {}
         self._gone: dict[str, None] = {}
         self._missing: dict[str, int] = {}
+        self._counted: set[str] = set()
+        """Processes with a HELLO without us since the last call of `due`."""
+        self._is_declared = False
+        """True if a token was declared since then. It is for all processes."""
 
     def came(self, process: str) -> None:
         """Note that a token of the process exists."""
@@ -61,16 +69,24 @@ class TokenRepair:
         if knows_us:
             self._missing.pop(process, None)
             return False
+        if process in self._counted:
+            return False
         if process not in self._missing and len(self._missing) >= PEER_LIMITS.max_peers:
             return False
+        self._counted.add(process)
         count = self._missing[process] = self._missing.get(process, 0) + 1
-        return count >= LOST_TOKEN_LIMITS.patience and count & (count - 1) == 0
+        is_due = count >= LOST_TOKEN_LIMITS.patience and count & (count - 1) == 0
+        is_first = is_due and not self._is_declared
+        self._is_declared = self._is_declared or is_due
+        return is_first
 
     def due(self, gone_too: bool) -> list[str]:
         """Return the processes to send a HELLO to now.
 
         gone_too: True to add departed processes
         """
+        self._counted.clear()
+        self._is_declared = False
         some = list(islice(self._strangers, LOST_TOKEN_LIMITS.answered_strangers))
         for process in some:
             del self._strangers[process]

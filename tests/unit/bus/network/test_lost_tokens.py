@@ -6,6 +6,12 @@ from crazychoir.bus.network.lost_tokens import LOST_TOKEN_LIMITS, TokenRepair
 from crazychoir.bus.network.peers import PEER_LIMITS
 
 
+def count_greeting(estranged: TokenRepair, process: str, *, knows_us: bool) -> bool:
+    """Let a HELLO arrive in a tick of its own; return whether to declare another token."""
+    estranged.due(gone_too=False)
+    return estranged.greeted(process, knows_us)
+
+
 @pytest.fixture
 def estranged() -> TokenRepair:
     return TokenRepair()
@@ -36,8 +42,30 @@ def test_a_peer_that_went_is_greeted_until_it_comes_back(
 def test_another_token_after_four_greetings_without_us_and_then_ever_more_seldom(
     estranged: TokenRepair,
 ) -> None:
-    declared = [k for k in range(1, 70) if estranged.greeted("b", knows_us=False)]
+    declared = [
+        k for k in range(1, 70) if count_greeting(estranged, "b", knows_us=False)
+    ]
     assert declared == [4, 8, 16, 32, 64]
+
+
+def test_many_greetings_at_once_count_as_one(estranged: TokenRepair) -> None:
+    for _ in range(LOST_TOKEN_LIMITS.patience - 1):
+        estranged.due(gone_too=False)
+        assert not any(estranged.greeted("b", knows_us=False) for _ in range(9))
+    assert count_greeting(estranged, "b", knows_us=False)
+
+
+def test_one_token_is_declared_for_all_that_miss_it_at_once(
+    estranged: TokenRepair,
+) -> None:
+    declared = []
+    for _ in range(8):
+        estranged.due(gone_too=False)
+        found = [estranged.greeted(process, knows_us=False) for process in "bcd"]
+        declared.append(found)
+    none = [False] * 3
+    first = [True, False, False]
+    assert declared == [*[none] * 3, first, *[none] * 3, first]
 
 
 @pytest.mark.parametrize(
@@ -47,9 +75,9 @@ def test_the_count_restarts_when_the_peer_knows_us_or_goes(
     estranged: TokenRepair, known
 ) -> None:
     for _ in range(3):
-        assert not estranged.greeted("b", knows_us=False)
+        assert not count_greeting(estranged, "b", knows_us=False)
     known(estranged)
-    assert [estranged.greeted("b", knows_us=False) for _ in range(4)] == [
+    assert [count_greeting(estranged, "b", knows_us=False) for _ in range(4)] == [
         False,
         False,
         False,
@@ -74,8 +102,10 @@ def test_however_many_there_are_a_bound_is_kept(estranged: TokenRepair) -> None:
     assert [len(some) for some in answered] == [
         LOST_TOKEN_LIMITS.answered_strangers
     ] * (PEER_LIMITS.max_peers // LOST_TOKEN_LIMITS.answered_strangers - 1) + [0]
-    for _ in range(4):
-        declared = [
-            process for process in many if estranged.greeted(process, knows_us=False)
-        ]
-    assert declared == many[: PEER_LIMITS.max_peers]
+    for process in many:
+        count_greeting(estranged, process, knows_us=False)
+    for _ in range(2):
+        count_greeting(estranged, many[0], knows_us=False)
+        count_greeting(estranged, many[-1], knows_us=False)
+    assert count_greeting(estranged, many[0], knows_us=False)
+    assert not count_greeting(estranged, many[-1], knows_us=False)
