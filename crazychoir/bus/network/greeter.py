@@ -79,7 +79,8 @@ class Greeter:
         """Repeat HELLO, and ask other hosts for their clocks.
 
         HELLO is sent often to peers that have not received ours, or sent theirs, and seldom when
-        all are known.
+        all are known. If only the processes that we have heard change, HELLO is not sent to all at
+        once: each of N processes that start together would send N times as many.
         """
         tick = 0
         async for _ in self._bus.clock.ticks(
@@ -94,7 +95,7 @@ class Greeter:
             )
             if (
                 due
-                or age == 0.0
+                or self._table.has_news()
                 or tick % (HELLO_TIMING.settling_time * HELLO_TIMING.asking_rate) == 0
             ):
                 self.greet_all()

@@ -9,6 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from msgspec.structs import replace
+
 from crazychoir.bus.clock_offset import ClockOffset, OffsetEstimate
 from crazychoir.bus.control_numbers import ControlNumbers
 from crazychoir.bus.network.access import NetworkAccess
@@ -118,6 +120,7 @@ class Peers:
         self._ports: list[int] = []
         self._offered: list[int] = []
         self._said: Hello | None = None
+        self._told_to_all: Hello | None = None
         self._payload = b""
 
     def came(self, host: str, process: str, token: str) -> Peer | None:
@@ -198,6 +201,16 @@ class Peers:
             self._payload = said.payload()
         return self._payload, uptime - said.uptime
 
+    def has_news(self) -> bool:
+        """Return True if our HELLO has changed since the last call, apart from the processes in `heard`.
+
+        Each process in `heard` gets an answer of its own.
+        """
+        now = replace(self._hello(0.0), heard=[])
+        is_new = now != self._told_to_all
+        self._told_to_all = now
+        return is_new
+
     def _hello(self, uptime: float) -> Hello:
         """Return the HELLO of this process."""
         return Hello(
@@ -221,6 +234,7 @@ class Peers:
     def greeted(self, peer: Peer, payload: bytes, age: float) -> bool:
         """Take a HELLO that is `age` seconds old, and return True if the peer needs ours.
 
+        After its first HELLO it needs ours to know that we have received it.
         Raises CodecError for an invalid HELLO, or in the name of another process.
         """
         if payload == peer.said:
@@ -240,8 +254,9 @@ class Peers:
         refusal, do = self._review.find_refusal(hello, uptime)
         if refusal:
             return self._refuse(peer, hello, refusal, do, uptime)
+        is_first = peer.hello is None
         self._take_in(peer, hello)
-        return not self.mutual(peer)
+        return is_first or not self.mutual(peer)
 
     @property
     def on_other_hosts(self) -> list[Peer]:

@@ -155,6 +155,45 @@ def test_a_new_process_is_greeted():
     assert meeting.outbox.flush() == [("2-1", HELLO_TOPIC.number)]
 
 
+def test_first_hello_of_a_peer_is_answered_once():
+    meeting = Meeting()
+    peer = meeting.table.came("b", "2-1", "token")
+    answers = []
+    for heard in (["0-1"], ["0-1", "1-1"], []):
+        said = make_hello("2-1", drones=[2], heard=heard)
+        meeting.greeter.take_hello(peer, said.payload(), 0.0)
+        answers.append(meeting.outbox.flush())
+    answer = [("2-1", HELLO_TOPIC.number)]
+    assert answers == [answer, [], answer], "the last HELLO is without us"
+
+
+def test_change_of_the_heard_processes_is_not_sent_to_all_at_once():
+    meeting = Meeting()
+
+    async def main(clock):
+        meeting.bus.clock = clock
+        running = asyncio.create_task(meeting.greeter.run())
+        await clock.sleep(1.1)
+        meeting.outbox.flush()
+        peer = meeting.table.came("b", "2-1", "token")
+        said = make_hello("2-1", drones=[2])
+        meeting.greeter.take_hello(peer, said.payload(), 0.0)
+        await clock.sleep(0.3)
+        after_heard = meeting.outbox.flush()
+        meeting.bus.port(7)
+        await clock.sleep(0.3)
+        after_port = meeting.outbox.flush()
+        running.cancel()
+        return after_heard, after_port
+
+    after_heard, after_port = run_virtual(main)
+    assert after_heard == [("2-1", HELLO_TOPIC.number)]
+    assert sorted(after_port) == [
+        ("1-1", HELLO_TOPIC.number),
+        ("2-1", HELLO_TOPIC.number),
+    ]
+
+
 def test_what_waits_for_a_process_is_dropped_with_its_last_token():
     meeting = Meeting()
     first = "choir/s/live/b/1-1"
