@@ -48,9 +48,9 @@ class Process:
             DRONE_TOPICS.framed_state, j, i, Latest(self.bus.clock, "framed", 1.0)
         )
 
-    def give(self, topic, to, payload, number):
-        assert topic is DRONE_TOPICS.airspace
-        frame = decode(payload)
+    def give(self, message, to):
+        assert message.topic is DRONE_TOPICS.airspace
+        frame = decode(message.payload)
         for address in to:
             drones = np.frombuffer(frame, FRAME_ROW)["drone"].tolist()
             self.sent.append((address, drones))
