@@ -64,6 +64,8 @@ class AirspaceFrames:
         bits = airspace.due_frame() | np.where(is_new, self._told, 0)
         self._number += 1
         self._fill_rows()
+        if not bits.any():  # so it is in most ticks
+            return
         payloads: dict[bytes, bytes] = {}
         for address in port.list_readers(DRONE_TOPICS.airspace):
             due = np.flatnonzero(bits & self._bits.get(address, ALL_BITS))
