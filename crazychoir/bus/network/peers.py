@@ -202,10 +202,7 @@ class Peers:
         return self._payload, uptime - said.uptime
 
     def has_news(self) -> bool:
-        """Return True if our HELLO has changed since the last call, apart from the processes in `heard`.
-
-        Each process in `heard` gets an answer of its own.
-        """
+        """Return True if our HELLO has changed since the last call, apart from the processes in `heard`."""
         now = replace(self._hello(0.0), heard=[])
         is_new = now != self._told_to_all
         self._told_to_all = now
