@@ -208,7 +208,8 @@ class Commands:
         """Send numbered messages of our first drone at once."""
         port = next(iter(self.link.bus.ports.values()))
         for number in range(first, first + count):
-            port.send(TOPIC_BY_NAME[topic], to, bytes(size), number)
+            message = Message(TOPIC_BY_NAME[topic], port.address, bytes(size), number)
+            port.send(message, to)
             self.link.outbox.flush()
         return {}
 

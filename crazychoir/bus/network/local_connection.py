@@ -151,10 +151,16 @@ class LocalConnection:
         now_ns: ns, time by the clock of the machine
         Raises OSError if the connection is broken.
         """
-        leaving = LeavingFrame(frame, now_ns)
         if self._leaving is not None:
-            return self._waiting[klass].add(leaving)
-        self._leaving = leaving
+            return self._waiting[klass].add(LeavingFrame(frame, now_ns))
+        if len(frame) <= self._piece_size:
+            packet = PACKET_HEAD.pack(LAST_PIECE_MARK, 0, now_ns) + frame
+            try:
+                self.socket.send(packet, socket.MSG_NOSIGNAL)
+            except (BlockingIOError, InterruptedError):
+                self._leaving = LeavingFrame(frame, now_ns)
+            return 0
+        self._leaving = LeavingFrame(frame, now_ns)
         self.send_waiting()
         return 0
 

@@ -16,8 +16,8 @@ import logging
 import os
 import socket
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import msgspec
 
@@ -37,25 +37,12 @@ from crazychoir.bus.network.local_address import (
 from crazychoir.bus.network.local_connection import LARGEST_PACKET, LocalConnection
 from crazychoir.bus.topics import MessageClass
 from crazychoir.errors import ConfigError, error_text
-from crazychoir.runtime.clock import NS_PER_SECOND
 
 log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class LocalSocketLimits:
-    """How the sockets between the processes of a host are read."""
-
-    slice_ns: int = NS_PER_SECOND // 500
-    """ns: most time for reading all connections in one pass of the event loop.
-
-    A frame that is being read is finished, and each connection may read one.
-    """
-    most_strangers: int = 32
-    """Most connections that have not told their process yet."""
-
-
-SOCKET_LIMITS = LocalSocketLimits()
+MOST_STRANGERS: Final = 32
+"""Most connections that have not told their process yet."""
 
 
 ReceiveFrame = Callable[[str, bytes, int], None]
@@ -92,7 +79,6 @@ class LocalSockets:
         self._strangers: dict[LocalConnection, None] = {}
         self._connections: dict[str, LocalConnection] = {}
         self._ending: dict[LocalConnection, None] = {}
-        self._slice_ends_ns = 0
 
     # Opening and closing --------------------------------------------------------------
 
@@ -196,7 +182,7 @@ class LocalSockets:
             self._counters.strangers += 1
             made.close()
             return
-        if len(self._strangers) >= SOCKET_LIMITS.most_strangers:
+        if len(self._strangers) >= MOST_STRANGERS:
             self._counters.strangers += 1
             self._end(next(iter(self._strangers)))
         self._strangers[self._adopt(made)] = None
@@ -266,33 +252,25 @@ class LocalSockets:
     # Receiving ------------------------------------------------------------------------
 
     def _read(self, connection: LocalConnection) -> None:
-        """Read some packets of a connection; the next pass reads on."""
-        if not self._slice_ends_ns:
-            self._slice_ends_ns = self._now_ns() + SOCKET_LIMITS.slice_ns
-            self._loop.call_soon(self._end_slice)
-        ends_ns = self._slice_ends_ns
-        while True:
-            try:
-                packet = connection.socket.recv(LARGEST_PACKET)
-            except (BlockingIOError, InterruptedError):
-                return
-            except ConnectionResetError:
-                # The other process ended, and has not read all frames. Its own still wait here.
-                self._counters.broken += 1
-                continue
-            except OSError:
-                self._counters.broken += 1
-                packet = b""
-            if not packet:
-                self._end(connection)
-                return
-            self._take(connection, packet)
-            if connection.socket.fileno() < 0 or self._now_ns() > ends_ns:
-                return
+        """Read one packet of a connection; the next pass of the event loop reads on.
 
-    def _end_slice(self) -> None:
-        """Let the next pass of the event loop read for a whole slice again."""
-        self._slice_ends_ns = 0
+        So no process delays the others, however much it sends.
+        """
+        try:
+            packet = connection.socket.recv(LARGEST_PACKET)
+        except (BlockingIOError, InterruptedError):
+            return
+        except ConnectionResetError:
+            # The other process ended, and has not read all frames. Its own still wait here.
+            self._counters.broken += 1
+            return
+        except OSError:
+            self._counters.broken += 1
+            packet = b""
+        if packet:
+            self._take(connection, packet)
+        else:
+            self._end(connection)
 
     def _take(self, connection: LocalConnection, packet: bytes) -> None:
         """Take a packet: a frame, a piece of a frame, or an identity."""
