@@ -1,10 +1,10 @@
-"""Messages as tuples, for handlers in tests that compare them."""
+"""Messages as tuples, for handlers in tests that compare them; ports that hear nothing."""
 
 from collections.abc import Callable
 from typing import Any
 
 from crazychoir.bus.message import Message
-from crazychoir.bus.port import Handler
+from crazychoir.bus.port import Handler, Port
 
 
 def list_parts(message: Message, age: float) -> tuple[int, bytes, int, str, int, float]:
@@ -26,3 +26,14 @@ def taking_parts(take: Callable[..., Any]) -> Handler:
         take(*list_parts(message, age))
 
     return handle
+
+
+def deafen(port: Port) -> Callable[[], None]:
+    """Let a port hear nothing until the function that is returned is called."""
+    handlers, mailboxes = port.handlers, port.mailboxes
+    port.handlers, port.mailboxes = {}, {}
+
+    def hear() -> None:
+        port.handlers, port.mailboxes = handlers, mailboxes
+
+    return hear

@@ -12,9 +12,10 @@ from pilots import change_fence
 from crazychoir.agent.agent import Agent, AgentProcess
 from crazychoir.agent.mission_result import MISSION_REASONS
 from crazychoir.agent.mission_runner import MissionRunner
+from crazychoir.bus.message import Message
 from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.presence import Presence
-from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import Refused
 from crazychoir.guidance.feedback import CFDistributedFeedback
@@ -650,15 +651,17 @@ def test_the_digest_of_a_run_is_of_all_messages_between_drones_and_all_states():
         trace = Trace()
         for part in parts:
             if isinstance(part, tuple):
-                trace.message(*part)
+                to, number, payload = part
+                message = Message(MESSAGE_TOPICS.rounds, 0, payload, number)
+                trace.message(to, message, 0.0)
             else:
                 trace.update(np.frombuffer(part, np.uint8))
         return trace.digest()
 
-    one, two = (1, 16, 0, 5, b"x"), (2, 16, 0, 5, b"x")
+    one, two = (1, 5, b"x"), (2, 5, b"x")
     whole = digest(one, two, b"state")
     assert whole == digest(one, two, b"state")
-    another = (2, 16, 0, 5, b"y")
+    another = (2, 5, b"y")
     others = [
         (two, one, b"state"),
         (one, b"state"),
@@ -668,7 +671,7 @@ def test_the_digest_of_a_run_is_of_all_messages_between_drones_and_all_states():
     ]
     assert len({whole, *(digest(*other) for other in others)}) == 1 + len(others)
     assert whole == digest(
-        one, (PORT_ADDRESSES.first_observer, 6, 0, 1, b"z"), two, b"state"
+        one, (PORT_ADDRESSES.first_observer, 1, b"z"), two, b"state"
     ), "a message of an observer does not change the digest"
 
 
@@ -691,14 +694,15 @@ class Wire:
     def unplug(self, bus):
         self.buses.remove(bus)
 
-    def carry(self, bus, j, topic, *message):
+    def carry(self, bus, j, message, age):
         there = [other for other in self.buses if other is not bus and j in other.ports]
         if bus in self.buses and there:
             self.clock.call_at(
                 self.clock.now_ns() + self.delay_ns,
-                there[0].ports[j].deliver,
-                topic.number,
-                *message,
+                there[0].deliver,
+                message,
+                (j,),
+                age,
             )
 
 
@@ -708,11 +712,9 @@ class Plug:
     def __init__(self, wire, bus):
         self.wire, self.bus = wire, bus
 
-    def forward(self, topic, source, to, payload, number, channel, flags, age):
+    def forward(self, message, to, age):
         for j in to:
-            self.wire.carry(
-                self.bus, j, topic, source, payload, number, channel, flags, age
-            )
+            self.wire.carry(self.bus, j, message, age)
 
     def then(self, work):
         work()

@@ -13,7 +13,6 @@ import pytest
 from crazychoir.agent.agent import Agent, AgentProcess
 from crazychoir.agent.worlds import WORLD_OWNER_RULES, WorldProcess
 from crazychoir.bus.commands import ANSWER_TEXTS, Commander
-from crazychoir.bus.message import Message
 from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.checks import WORLD_URIS
@@ -42,14 +41,10 @@ class Wire:
         self.here, self.there, self.torn, self.late = here, there, False, 0.0
         here.forwarder = self
 
-    def forward(self, topic, source, to, payload, number, channel, flags, age):
+    def forward(self, message, to, age):
         for j in to if not self.torn else ():
             if j in self.there.ports:
-                self.there.ports[j].bus.deliver(
-                    Message(topic, source, payload, number, channel, flags),
-                    (self.there.ports[j].address,),
-                    age + self.late,
-                )
+                self.there.deliver(message, (j,), age + self.late)
 
     def then(self, work):
         work()

@@ -1,6 +1,6 @@
 import asyncio
 
-from message_parts import taking_parts
+from message_parts import deafen
 from virtual_time import virtual
 
 from crazychoir.bus.commands import (
@@ -44,9 +44,7 @@ class Swarm:
 
     def deaf(self, i):
         """Drone i hears nothing until the function that is returned is called."""
-        port = self.bus.ports[i]
-        deliver, port.deliver = port.deliver, lambda *message: None
-        return lambda: setattr(port, "deliver", deliver)
+        return deafen(self.bus.ports[i])
 
     def executor(self, i):
         async def execute(verb, arguments):
@@ -353,17 +351,14 @@ async def test_a_take_off_that_a_hold_interrupted_is_not_asked_for_again(
     await clock.sleep(0.1)
     assert rising.answers == {0: (ANSWER_TEXTS.accepted, "")}
     hears, lines = swarm.deaf(0), swarm.watch.count
-    deliver, swarm.commander.port.deliver = (
-        swarm.commander.port.deliver,
-        lambda *message: None,
-    )
+    hears_answers = deafen(swarm.commander.port)
     await clock.sleep(1.0)
     holding = swarm.desk.order("hold", [0])
     assert rising.answers == {0: (ANSWER_TEXTS.accepted, "")}, (
         "it says by itself what comes of it"
     )
     await clock.sleep(1.0)
-    swarm.commander.port.deliver = deliver
+    hears_answers()
     hears()
     await swarm.desk.settled(holding)
     await swarm.desk.settled(rising)
@@ -499,11 +494,9 @@ async def test_an_acceptance_is_told_once_however_often_the_drone_says_so(clock)
     swarm, told = Swarm(clock), []
     port = swarm.bus.ports[0]
     handle = port.handlers[MESSAGE_TOPICS.request.number]
-    port.handlers[MESSAGE_TOPICS.request.number] = taking_parts(
-        lambda *message: (
-            handle(*message),
-            handle(*message),
-        )
+    port.handlers[MESSAGE_TOPICS.request.number] = lambda message, age: (
+        handle(message, age),
+        handle(message, age),
     )
     await swarm.commander.request(0, "land", 5.0, lambda: told.append(clock.now()))
     assert len(told) == 1

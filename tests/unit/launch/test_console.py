@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import typer
-from message_parts import taking_parts
 from rich.console import Console
 from rich.table import Table
 
@@ -323,7 +322,7 @@ def test_what_fails_in_the_same_way_in_many_drones_is_traced_once(capfd):
                     "drone %d failed", drone, exc_info=error
                 )
     finally:
-        root.handlers[:] = taking_parts(before)
+        root.handlers[:] = before
     said = capfd.readouterr().err
     assert [f"drone {i} failed" in said for i in range(4)] == [True] * 4
     assert said.count("Traceback") == 2, "both laws fail in the same line of numpy"

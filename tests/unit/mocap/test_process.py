@@ -243,7 +243,12 @@ def test_a_swarm_without_drones_that_are_seen_is_refused():
     )
     with pytest.raises(ConfigError, match="no drone that is seen"):
         MocapProcess(
-            SimpleNamespace(now=lambda: 0.0), config, Cameras(None, 1), "m", "here", 1
+            SimpleNamespace(now=lambda: 0.0, now_ns=lambda: 0),
+            config,
+            Cameras(None, 1),
+            "m",
+            "here",
+            1,
         )
 
 
