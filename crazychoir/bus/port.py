@@ -305,7 +305,7 @@ class Bus:
         self.ports.pop(address, None)
 
     def deliver(self, message: Message, to: Iterable[int], age: float) -> None:
-        """Deliver a message that has arrived, also at ports of other processes.
+        """Deliver a message at ports of this process; send it on to those of other processes.
 
         age: s, its age
         """
@@ -330,7 +330,7 @@ class Bus:
                 port.fill_mailboxes(message, age)
 
     def _forward(self, message: Message, j: int, age: float) -> None:
-        """Send to a port of another process."""
+        """Send a message on to a port of another process."""
         if self.forwarder is None:
             self.unroutable += 1
         else:
