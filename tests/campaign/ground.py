@@ -16,7 +16,8 @@ from campaign import faults
 from campaign.faults import Draw
 from campaign.report import Report, digest
 from crazychoir.bus.commands import ANSWER_TEXTS, Commander, CommandServer
-from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.bus.message import Message
+from crazychoir.bus.port import PORT_ADDRESSES, Bus, Handler
 from crazychoir.bus.topics import MESSAGE_TOPICS
 from crazychoir.errors import CrazyChoirError, PeerLost, Refused, RosterChanged
 from crazychoir.optimization.algorithms.consensus import Consensus
@@ -379,14 +380,15 @@ class CommandTrial:
         """Whether each drone was last told to stop, or that the stop is cleared."""
         self._drones = list(range(drones))
         self._loss = loss
-        self._kept: list[tuple[Any, ...]] = []
+        self._kept: list[tuple[Handler, Message, float]] = []
 
     def serve(self, slow: float) -> None:
         """Start the drones, which obey in up to 0.5 s, and the faults of all ports."""
         for i in self._drones:
             self._start_server(i, slow)
         for port in self.bus.ports.values():
-            port.deliver = partial(self._deliver, port.deliver)  # type: ignore[method-assign]
+            for topic, handle in port.handlers.items():
+                port.handlers[topic] = partial(self._deliver, handle)
 
     def _start_server(self, i: int, slow: float) -> None:
         async def execute(verb: str, arguments: dict[str, Any]) -> int:
@@ -400,17 +402,18 @@ class CommandTrial:
             self.bus.port(i), execute, lambda on: self.stopped.update({i: on})
         )
 
-    def _deliver(self, deliver: Any, *message: Any) -> None:
+    def _deliver(self, handle: Handler, message: Message, age: float) -> None:
         """Lose a message, or deliver it once or twice; some are kept to come again at the end."""
         if self.draw.random() < self._loss:
             # A lost stop comes at the end for the first time.
-            if message[0] == MESSAGE_TOPICS.emergency_stop.number:
-                self._kept.append((deliver, message))
+            if message.topic is MESSAGE_TOPICS.emergency_stop:
+                self._kept.append((handle, message, age))
             return
         for _ in range(1 + (self.draw.random() < 0.2)):
-            deliver(*message)
-        if message[1] == PORT_ADDRESSES.first_observer and self.draw.random() < 0.2:
-            self._kept.append((deliver, message))
+            handle(message, age)
+        is_of_operator = message.source == PORT_ADDRESSES.first_observer
+        if is_of_operator and self.draw.random() < 0.2:
+            self._kept.append((handle, message, age))
 
     async def ask(self, k: int) -> None:
         """Send request k, and check its answer and how long it waits."""
