@@ -457,8 +457,8 @@ class CommandTrial:
 
     def deliver_again(self) -> None:
         """Deliver all that was kept once more, the newest first."""
-        for deliver, message in reversed(self._kept):
-            deliver(*message[:-1], 0.0)
+        for handle, message, _ in reversed(self._kept):
+            handle(message, 0.0)
 
     def check_end(self, clears: list[bool]) -> None:
         """Check that the last order is in force, and that nothing was done twice."""
