@@ -380,7 +380,7 @@ class CommandTrial:
         """Whether each drone was last told to stop, or that the stop is cleared."""
         self._drones = list(range(drones))
         self._loss = loss
-        self._kept: list[tuple[Handler, Message, float]] = []
+        self._kept: list[tuple[Handler, Message]] = []
 
     def serve(self, slow: float) -> None:
         """Start the drones, which obey in up to 0.5 s, and the faults of all ports."""
@@ -407,13 +407,13 @@ class CommandTrial:
         if self.draw.random() < self._loss:
             # A lost stop comes at the end for the first time.
             if message.topic is MESSAGE_TOPICS.emergency_stop:
-                self._kept.append((handle, message, age))
+                self._kept.append((handle, message))
             return
         for _ in range(1 + (self.draw.random() < 0.2)):
             handle(message, age)
         is_of_operator = message.source == PORT_ADDRESSES.first_observer
         if is_of_operator and self.draw.random() < 0.2:
-            self._kept.append((handle, message, age))
+            self._kept.append((handle, message))
 
     async def ask(self, k: int) -> None:
         """Send request k, and check its answer and how long it waits."""
@@ -457,7 +457,7 @@ class CommandTrial:
 
     def deliver_again(self) -> None:
         """Deliver all that was kept once more, the newest first."""
-        for handle, message, _ in reversed(self._kept):
+        for handle, message in reversed(self._kept):
             handle(message, 0.0)
 
     def check_end(self, clears: list[bool]) -> None:
