@@ -8,6 +8,7 @@ from pathlib import Path
 import typer
 
 from crazychoir.cli.operate.inspect import JsonOption
+from crazychoir.errors import ConfigError
 from crazychoir.launch.console import (
     ANSWER_CONSOLE,
     ERROR_CONSOLE,
@@ -64,6 +65,9 @@ def import_with_extras(module: str) -> None:
     """Import a module of this package, unless it needs an extra that is not installed."""
     try:
         importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] == PACKAGE_FOLDER.name:
+    except (ModuleNotFoundError, ConfigError) as error:
+        missing = error.__cause__ if isinstance(error, ConfigError) else error
+        if not isinstance(missing, ModuleNotFoundError):
+            raise
+        if (missing.name or "").partition(".")[0] == PACKAGE_FOLDER.name:
             raise
