@@ -137,6 +137,8 @@ class Agent:
         self.owner_of = {i: owner for owner in self.owners for i in owner.world.ids}
         self.services: list[Actor] = []
         self.runners: dict[int, MissionRunner] = {}
+        self._ended_for = ""
+        """Why all missions were ended; empty if they were not."""
         self.drones: dict[int, Drone] = {}
         self.commands: dict[int, DroneCommands] = {}
         patience = 0.0 if process.is_alone else config.flight.dead_man
@@ -251,8 +253,9 @@ class Agent:
         supervisor = self._supervisor(drone.id)
         runner = MissionRunner(drone, self.config, self.watchdog, self.laws)
         self.runners[drone.id] = runner
-        if drone.barrier.refused:
-            runner.abort(drone.barrier.refused)
+        reason = drone.barrier.refused or self._ended_for
+        if reason:
+            runner.abort(reason)
         await supervisor.run([runner])
 
     def _orders_of(self, drone: Drone) -> OperatorCommands:
@@ -269,9 +272,14 @@ class Agent:
         return OperatorCommands(drone, self.config, abort, over, arm)
 
     def land_all(self, reason: str) -> None:
-        """Land every drone and end every mission, with this reason."""
-        for drone in self.drones.values():
-            drone.pilot.land(reason)
+        """Land every drone and end every mission.
+
+        A mission that has not begun never begins.
+        reason: why, in words.
+        """
+        self._ended_for = self._ended_for or reason
+        for i in self.runners:
+            self.drones[i].pilot.land(reason)
         for runner in self.runners.values():
             runner.abort(reason)
 

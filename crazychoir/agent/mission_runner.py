@@ -176,6 +176,8 @@ class MissionRunner(Actor):
     async def _mission(self) -> Result:
         """Wait for GO, then run the mission's own code. Returns its checked result."""
         drone = self.drone
+        if self._aborted:
+            raise Refused(f"drone {drone.id}", self._aborted)
         await self._until_cleared(MISSION_REASONS.stopped)
         await self._until_fit()
         await drone.barrier.go()

@@ -1,20 +1,27 @@
 """Control messages that a newer one has overtaken on another way.
 
 When two processes change from Zenoh to a socket, the first messages through the socket may overtake
-the last ones through Zenoh. Of control only the newest message counts, and Zenoh does not tell how
-long it took. So the numbers of the messages decide.
+the last ones through Zenoh. Of most topics of this class only the newest message counts, and Zenoh
+does not tell how long it took. So the numbers of the messages decide.
 """
 
 from collections.abc import Iterable
 from typing import Final
 
 from crazychoir.bus.frames import Envelope
+from crazychoir.bus.topics import DRONE_TOPICS, MESSAGE_TOPICS
 
 ControlStream = tuple[int, int, tuple[int, ...], str]
 """Topic, source, receivers and channel: of messages that agree in them only the newest counts."""
 
 MOST_STREAMS: Final = 4096
 """Streams of a peer that are kept; with more, all are forgotten."""
+PARTIAL_TOPICS: Final = (
+    DRONE_TOPICS.airspace.number,
+    MESSAGE_TOPICS.wanted_states.number,
+    MESSAGE_TOPICS.relayed_states.number,
+)
+"""Topics of which a newer message does not replace an older one: each tells of other drones."""
 
 
 class ControlNumbers:
@@ -28,7 +35,8 @@ class ControlNumbers:
         if len(self._newest) > MOST_STREAMS:
             self._newest.clear()
         for message in messages:
-            self._newest[_find_stream(message)] = message.number
+            if message.topic not in PARTIAL_TOPICS:
+                self._newest[_find_stream(message)] = message.number
 
     def drop_overtaken(self, messages: list[Envelope]) -> list[Envelope]:
         """Return the messages of a frame that came through Zenoh, without the overtaken ones.

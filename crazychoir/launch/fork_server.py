@@ -27,7 +27,7 @@ import subprocess
 import sys
 from collections.abc import AsyncIterator
 from dataclasses import asdict, dataclass
-from typing import Self
+from typing import BinaryIO, Self
 
 from crazychoir.errors import ProcessFailed
 from crazychoir.files.path_texts import child_environment
@@ -40,9 +40,11 @@ SERVER_NAME = "the fork server"
 """Name of the server in errors."""
 UNKNOWN_EXIT_CODE = 255
 """Exit code where the system has kept none."""
-REQUEST_SIZE = 1 << 18
-"""Most bytes of a request or of its answer; the environment takes most of them."""
-WITHOUT_PROCESS = b"{}"
+ANSWER_SIZE = 1 << 12
+"""Most bytes of an answer of the server."""
+FORK_REQUEST = b"fork"
+"""Request for a process; two file descriptors come with it, for its output and for what is to run."""
+WITHOUT_PROCESS = b"release"
 """Request without a process: the server prepares itself, and releases the processes that it holds."""
 
 
@@ -142,11 +144,15 @@ class ForkServer:
 
     def __exit__(self, *exception: object) -> None:
         self._requests.close()
-        self._process.kill()
+        self.end()
         self._process.wait()
         if self._process.stdout is not None:
             self._process.stdout.close()
         _adopt_orphans(False)
+
+    def end(self) -> None:
+        """End the server; its processes that run go on."""
+        self._process.kill()
 
     @property
     def pid(self) -> int:
@@ -181,9 +187,11 @@ class ForkServer:
         is_held: whether the process waits for `release` before it runs the module
         Raises ProcessFailed if there is no such process, because the server has ended.
         """
-        request = ForkRequest(module, words, os.getcwd(), child_environment(), is_held)
         read, write = os.pipe()
         try:
+            request = ForkRequest(
+                module, words, os.getcwd(), child_environment(), is_held
+            )
             async with self._one_at_a_time:
                 answer = await self._ask(request, write)
         except BaseException:
@@ -194,8 +202,18 @@ class ForkServer:
         if not answer.isdecimal():
             os.close(read)
             raise ProcessFailed(SERVER_NAME, answer)
-        reader, _ = await _open_reader(read)
-        return ForkedProcess(int(answer), reader)
+        transport: asyncio.ReadTransport | None = None
+        try:
+            reader, transport = await _open_reader(read)
+            return ForkedProcess(int(answer), reader)
+        except BaseException as error:
+            if transport is not None:
+                transport.close()
+            _end_process(int(answer))
+            if isinstance(error, OSError):
+                reason = error.strerror or str(error)
+                raise ProcessFailed(SERVER_NAME, reason) from error
+            raise
 
     def release(self) -> None:
         """Let all held processes run.
@@ -214,7 +232,9 @@ class ForkServer:
         If this is cancelled, the server ends, and so does the new process.
         """
         try:
-            socket.send_fds(self._requests, [request.encode()], [output])
+            with _memory_file(request.encode()) as program:
+                descriptors = [output, program.fileno()]
+                socket.send_fds(self._requests, [FORK_REQUEST], descriptors)
         except OSError as error:
             return error.strerror or str(error)
         answering = asyncio.create_task(self._receive())
@@ -224,18 +244,32 @@ class ForkServer:
             self._process.kill()
             answer = await answering
             if answer.isdecimal():
-                os.kill(int(answer), signal.SIGKILL)
-                os.waitpid(int(answer), 0)  # noqa: ASYNC222 - it ends at once
+                _end_process(int(answer))
             raise
 
     async def _receive(self) -> str:
         """Return the answer of the server."""
         loop = asyncio.get_running_loop()
         try:
-            answer = await loop.sock_recv(self._requests, REQUEST_SIZE)
+            answer = await loop.sock_recv(self._requests, ANSWER_SIZE)
         except OSError as error:
             return error.strerror or str(error)
         return answer.decode() or "it has ended"
+
+
+def _memory_file(content: bytes) -> BinaryIO:
+    """Return a file in memory with this content, at its beginning."""
+    file = os.fdopen(os.memfd_create("fork request"), "w+b", buffering=0)
+    file.write(content)
+    file.seek(0)
+    return file
+
+
+def _end_process(number: int) -> None:
+    """End an adopted process at once."""
+    os.kill(number, signal.SIGKILL)
+    with contextlib.suppress(ChildProcessError):  # this process ignores SIGCHLD
+        os.waitpid(number, 0)
 
 
 def _adopt_orphans(wanted: bool) -> None:

@@ -143,7 +143,8 @@ class SwarmLauncher:
             try:
                 yield
             except ProcessFailed:
-                await reading  # the server has ended, and has said why
+                self.server.end()
+                await reading  # if the server has failed, it has said why
                 raise
             finally:
                 reading.cancel()

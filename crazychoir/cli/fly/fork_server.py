@@ -17,7 +17,7 @@ from crazychoir.numerics.compiling import KERNEL_QUEUE
 
 def main() -> None:
     """Serve the socket with the file descriptor in the command line."""
-    limit_matrix_threads()
+    limit_matrix_threads(may_have_more=False)  # it forks, so it has one thread
     end_after_parent()
     with KERNEL_QUEUE.checks_first():
         _import_agent()

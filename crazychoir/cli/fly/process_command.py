@@ -19,13 +19,16 @@ BLAS_LIBRARIES: Final = ("OPENBLAS", "MKL", "OMP")
 """Libraries that multiply matrices with as many threads as the machine has processors."""
 
 
-def limit_matrix_threads() -> None:
-    """Let this process compute matrices without further threads, unless the environment says more.
+def limit_matrix_threads(may_have_more: bool = True) -> None:
+    """Let this process compute matrices without further threads.
 
     Call it before numpy is imported. The matrices of a drone are small.
+    may_have_more: whether the environment may ask for more threads
     """
     for library in BLAS_LIBRARIES:
-        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+        name = f"{library}_NUM_THREADS"
+        if name not in os.environ or not may_have_more:
+            os.environ[name] = "1"
 
 
 def begin_process(is_child: bool) -> None:

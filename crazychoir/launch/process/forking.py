@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn
 
-from crazychoir.launch.fork_server import REQUEST_SIZE, ForkRequest
+from crazychoir.launch.fork_server import WITHOUT_PROCESS, ForkRequest
 
 THREADS_FOLDER = Path("/proc/self/task")
 """Folder with an entry for each thread of this process."""
@@ -34,6 +34,8 @@ ENVIRONMENT_END = 48
 """Field of STATE_FILE, after the name: the end of the environment, which follows the command line."""
 STANDARD_OUTPUTS = (1, 2)
 """File descriptors of standard output and standard error."""
+MOST_DESCRIPTORS = 2
+"""File descriptors that come with a request for a process."""
 PROCESS_NUMBER_SIZE = 32
 """Most bytes of the number of a process as text."""
 
@@ -92,7 +94,9 @@ def serve_forks(
     is_prepared = False
     held: list[socket.socket] = []
     while True:
-        data, descriptors, _, _ = socket.recv_fds(requests, REQUEST_SIZE, 1)
+        data, descriptors, _, _ = socket.recv_fds(
+            requests, len(WITHOUT_PROCESS), MOST_DESCRIPTORS
+        )
         if not data:
             return None
         if not is_prepared:
@@ -103,7 +107,9 @@ def serve_forks(
             _release(held)
             held = []
             continue
-        program = ForkedProgram(ForkRequest.decode(data), descriptors[0])
+        output, wanted = descriptors
+        with os.fdopen(wanted, "rb") as file:
+            program = ForkedProgram(ForkRequest.decode(file.read()), output)
         waiting = _fork_for_adoption(requests, held)
         if waiting is None:
             requests.close()
@@ -186,6 +192,8 @@ def _show_command_line(*words: str) -> None:
     fields = STATE_FILE.read_text("utf-8", "replace").rpartition(")")[2].split()
     start = int(fields[ARGUMENTS_START])
     room = int(fields[ENVIRONMENT_END]) - start
+    if start <= 0 or room <= 0:  # a system may hide where they are
+        return
     text = os.fsencode(" ".join(words))[: room - 1]
     ctypes.memset(start, 0, room)
     ctypes.memmove(start, text, len(text))

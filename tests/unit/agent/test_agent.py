@@ -186,6 +186,18 @@ def test_an_operators_landing_is_the_result():
     run_virtual(main)
 
 
+def test_a_process_that_is_refused_before_its_missions_begin_ends():
+    async def main(clock):
+        agent = Agent(clock, swarm(1), mission_of(stays), (0,))
+        agent.refuse(Refused("drone 0", "another process flies it"))
+        async with asyncio.timeout(10.0):
+            results = await agent.run()
+        assert results[0]["success"] is False
+        assert "another process flies it" in results[0]["reason"]
+
+    run_virtual(main)
+
+
 def test_after_an_emergency_stop_the_agent_says_what_it_waits_for_and_an_operator_may_end_it(
     caplog,
 ):

@@ -14,6 +14,7 @@ import pytest
 from crazychoir.errors import ProcessFailed
 from crazychoir.launch import fork_server
 from crazychoir.launch.fork_server import ForkServer
+from crazychoir.launch.processes import SwarmLauncher
 
 SERVER = """
 from crazychoir.cli.fly.process_command import limit_matrix_threads
@@ -121,6 +122,53 @@ async def test_missing_module_is_named():
         output = (await child.stdout.read()).decode()
         assert await child.wait() == 1
     assert output.endswith("ModuleNotFoundError: No module named 'no_such_module'\n")
+
+
+async def test_server_has_one_thread_whatever_the_environment_says(monkeypatch):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    with ForkServer() as server:
+        child = await server.start("no_such_module")
+        assert b"no_such_module" in await child.stdout.read()
+
+
+async def test_environment_of_any_size_arrives(write_program, monkeypatch):
+    for name in "ABCDEF":
+        monkeypatch.setenv(f"LARGE_{name}", 100_000 * "x")
+    write_program("print(sum(len(value) for value in os.environ.values()) > 600_000)")
+    with ForkServer() as server:
+        child = await server.start("small_program")
+        assert await child.stdout.read() == b"True\n"
+
+
+async def test_process_that_cannot_be_watched_is_ended(write_program, monkeypatch):
+    def fails(pid):
+        pids.append(pid)
+        raise OSError(24, "Too many open files")
+
+    pids = []
+    write_program(PAUSE)
+    monkeypatch.setattr(os, "pidfd_open", fails)
+    with (
+        ForkServer() as server,
+        pytest.raises(ProcessFailed, match="Too many open files"),
+    ):
+        await server.start("small_program")
+    with pytest.raises(ProcessLookupError):
+        os.kill(pids[0], 0)
+
+
+async def test_output_of_a_server_that_refuses_a_process_ends(write_program):
+    write_program(PAUSE)
+    said = []
+    with ForkServer() as server:
+        launcher = SwarmLauncher(server, Path("swarm.toml"))
+
+        async def fail():
+            async with launcher.pass_on_own_output(said.append):
+                raise ProcessFailed("a process", "the system allows none")
+
+        with pytest.raises(ProcessFailed):
+            await asyncio.wait_for(fail(), 10.0)
 
 
 async def test_process_has_the_words_the_folder_and_the_environment_of_the_run(
