@@ -27,8 +27,8 @@ def crash(agent: Agent, i: int) -> None:
     """
     drone = agent.drones[i]
     port, send = drone.port, drone.port.send
-    port.send = lambda topic, *args, **named: (
-        send(topic, *args, **named) if topic.of_body else None
+    port.send = lambda message, *args, **named: (
+        send(message, *args, **named) if message.topic.of_body else None
     )
     agent.bus.close(i)
     drone.pilot.cut("killed")
