@@ -140,6 +140,20 @@ async def test_environment_of_any_size_arrives(write_program, monkeypatch):
         assert await child.stdout.read() == b"True\n"
 
 
+async def test_process_has_no_socket_of_the_server(write_program):
+    """The server would not notice the end of the run while a process has its socket."""
+    links = (
+        "[os.readlink(f'/proc/self/fd/{n}') for n in os.listdir('/proc/self/fd')[:-1]]"
+    )
+    write_program(f"print(sum('socket' in link for link in {links}))")
+    with ForkServer() as server:
+        held = await server.start("small_program", is_held=True)
+        child = await server.start("small_program")
+        assert await child.stdout.read() == b"0\n"
+        server.release()
+        assert await held.stdout.read() == b"0\n"
+
+
 async def test_process_that_cannot_be_watched_is_ended(write_program, monkeypatch):
     def fails(pid):
         pids.append(pid)

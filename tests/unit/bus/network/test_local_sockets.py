@@ -160,6 +160,19 @@ async def test_a_pass_reads_one_frame_of_each_connection(ends):
     await until(lambda: len(b.frames) == 200)
 
 
+async def test_a_frame_to_a_process_that_has_ended_is_not_sent(ends):
+    """The connection is read on until its end, and then closed with all others."""
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    connection = a.sockets._connections["b"]
+    b.sockets._connections["a"].socket.close()
+    assert not a.send("b", VERSION)
+    assert a.counters.broken == 1
+    assert not a.sockets.is_connected("b")
+    a.sockets.close()
+    assert connection.socket.fileno() < 0
+
+
 async def test_a_process_of_the_same_name_takes_the_place(ends):
     a, old = ends("a"), ends("b")
     await connect(a, old)
