@@ -88,8 +88,8 @@ def serve_forks(
 
     requests: socket with the requests of the run
     prepare: loads what all processes need; called before the first request is answered
-    Returns in each forked process the program that it is to run. Returns None in the server, at its
-    end.
+    Returns in each forked process the program that it is to run; close `requests` before. Returns None
+    in the server, at its end.
     """
     is_prepared = False
     held: list[socket.socket] = []
@@ -112,7 +112,6 @@ def serve_forks(
             program = ForkedProgram(ForkRequest.decode(file.read()), output)
         waiting = _fork_for_adoption(requests, held)
         if waiting is None:
-            requests.close()
             return program
         os.close(program.output)
         if program.request.is_held:
