@@ -118,7 +118,7 @@ class MissionRunner(Actor):
             if not life.done():
                 await self._last_words(life)
             drone.result = add_forgotten_calls(
-                self._outcome(life), drone, self._has_returned(life)
+                self._outcome(life), drone, has_returned(life) and not self._aborted
             )
             if drone.barrier.apart:
                 drone.result = {**drone.result, "apart": drone.barrier.apart}
@@ -328,11 +328,6 @@ class MissionRunner(Actor):
             return result_of_failure(str(error))
         return result_of_failure(self._broken(error))
 
-    def _has_returned(self, life: asyncio.Task[Result]) -> bool:
-        """Return whether the mission has ended by itself, without an error."""
-        is_done = life.done() and not life.cancelled() and life.exception() is None
-        return is_done and not self._aborted
-
     def _aborted_by_operator(self, error: BaseException | None) -> Result:
         """Return the result of a mission that its operator ended.
 
@@ -386,3 +381,8 @@ def _is_expected(error: BaseException) -> bool:
     return isinstance(
         error, CrazyChoirError | asyncio.CancelledError
     ) and not isinstance(error, Hung)
+
+
+def has_returned(life: asyncio.Task[Result]) -> bool:
+    """Return whether a mission has ended by itself, without an error."""
+    return life.done() and not life.cancelled() and life.exception() is None

@@ -21,7 +21,7 @@ PARTIAL_TOPICS: Final = (
     MESSAGE_TOPICS.wanted_states.number,
     MESSAGE_TOPICS.relayed_states.number,
 )
-"""Topics of which a newer message does not replace an older one: each tells of other drones."""
+"""Topics with messages that do not replace each other, as each tells of other drones."""
 
 
 class ControlNumbers:
