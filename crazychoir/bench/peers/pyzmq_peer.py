@@ -3,17 +3,11 @@
 A message goes once to each process that reads the agent. `zmq.asyncio` reads on uvloop.
 """
 
-import asyncio
 import importlib
 from typing import Any
 
-from crazychoir.bench.peers.peers import report, say, specification, wait_for_go
-from crazychoir.bench.peers.round_inbox import (
-    MESSAGE_LAYOUT,
-    RoundInbox,
-    exchange_forever,
-    find_readers,
-)
+from crazychoir.bench.peers.peers import specification
+from crazychoir.bench.peers.round_inbox import AgentPlaces, run_agents
 
 
 class ZeroMqAgents:
@@ -32,20 +26,7 @@ class ZeroMqAgents:
                 self._dealers[p] = dealer = context.socket(zmq.DEALER)
                 dealer.set_hwm(0)
                 dealer.connect(f"ipc://{spec['folder']}/{p}")
-        self.inboxes = {i: RoundInbox(len(spec["neighbors"][i])) for i in spec["mine"]}
-        readers = find_readers(spec["neighbors"])
-        holder = {i: p for p, ids in enumerate(shares) for i in ids}
-        self._readers_here = {
-            i: [self.inboxes[j] for j in readers[i] if j in self.inboxes]
-            for i in spec["neighbors"]
-        }
-        self._dealers_of = {
-            i: [
-                self._dealers[p]
-                for p in sorted({holder[j] for j in readers[i]} - {own})
-            ]
-            for i in spec["mine"]
-        }
+        self.places = AgentPlaces(spec)
 
     async def meet(self) -> None:
         """Wait until a message of each other process has come: all sockets are connected."""
@@ -58,18 +39,13 @@ class ZeroMqAgents:
         """Deliver what comes, for ever."""
         while True:
             _, data = await self.router.recv_multipart()
-            self._deliver(data)
-
-    def _deliver(self, data: bytes) -> None:
-        source, k, *_ = MESSAGE_LAYOUT.unpack(data)
-        for inbox in self._readers_here[source]:
-            inbox.put(source, k)
+            self.places.deliver(data)
 
     def publish(self, i: int, data: bytes) -> None:
         """Send a message of an agent to all that read it."""
-        for dealer in self._dealers_of[i]:
-            dealer.send(data)
-        self._deliver(data)
+        for p in self.places.processes[i]:
+            self._dealers[p].send(data)
+        self.places.deliver(data)
 
 
 async def main() -> None:
@@ -77,17 +53,7 @@ async def main() -> None:
     spec = specification()
     agents = ZeroMqAgents(spec)
     await agents.meet()
-    rounds = dict.fromkeys(spec["mine"], 0)
-    say({"ready": True})
-    await asyncio.to_thread(wait_for_go)
-    report(rounds, spec)
-    await asyncio.gather(
-        agents.read(),
-        *(
-            exchange_forever(i, inbox, rounds, agents.publish)
-            for i, inbox in agents.inboxes.items()
-        ),
-    )
+    await run_agents(spec, agents.places.inboxes, agents.publish, agents.read())
 
 
 if __name__ == "__main__":

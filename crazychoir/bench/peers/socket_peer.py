@@ -12,12 +12,11 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from crazychoir.bench.peers.peers import report, say, specification, wait_for_go
+from crazychoir.bench.peers.peers import specification
 from crazychoir.bench.peers.round_inbox import (
     MESSAGE_LAYOUT,
-    RoundInbox,
-    exchange_forever,
-    find_readers,
+    AgentPlaces,
+    run_agents,
 )
 
 LOOK_INTERVAL = 0.01
@@ -53,18 +52,7 @@ class SocketAgents:
         self._loop = asyncio.get_running_loop()
         self._sockets = sockets
         self._waiting: dict[int, deque[bytes]] = {p: deque() for p in sockets}
-        self._own = spec["number"]
-        self.inboxes = {i: RoundInbox(len(spec["neighbors"][i])) for i in spec["mine"]}
-        readers = find_readers(spec["neighbors"])
-        holder = {i: p for p, ids in enumerate(spec["shares"]) for i in ids}
-        self._readers_here = {
-            i: [self.inboxes[j] for j in readers[i] if j in self.inboxes]
-            for i in spec["neighbors"]
-        }
-        self._processes = {
-            i: sorted({holder[j] for j in readers[i]} - {self._own})
-            for i in spec["mine"]
-        }
+        self.places = AgentPlaces(spec)
         for made in sockets.values():
             made.setblocking(False)
             self._loop.add_reader(made.fileno(), self._read, made)
@@ -72,20 +60,15 @@ class SocketAgents:
     def _read(self, made: socket.socket) -> None:
         with contextlib.suppress(BlockingIOError):
             while data := made.recv(MESSAGE_LAYOUT.size):
-                self._deliver(data)
-
-    def _deliver(self, data: bytes) -> None:
-        source, k, *_ = MESSAGE_LAYOUT.unpack(data)
-        for inbox in self._readers_here[source]:
-            inbox.put(source, k)
+                self.places.deliver(data)
 
     def publish(self, i: int, data: bytes) -> None:
         """Send a message of an agent to all that read it."""
-        for p in self._processes[i]:
+        for p in self.places.processes[i]:
             self._waiting[p].append(data)
             if len(self._waiting[p]) == 1:
                 self._write(p)
-        self._deliver(data)
+        self.places.deliver(data)
 
     def _write(self, p: int) -> None:
         """Send what waits for a process, as much as has room."""
@@ -107,16 +90,7 @@ async def main() -> None:
     processes = len(spec["shares"])
     sockets = connect_all(Path(spec["folder"]), spec["number"], processes)
     agents = SocketAgents(spec, sockets)
-    rounds = dict.fromkeys(spec["mine"], 0)
-    say({"ready": True})
-    await asyncio.to_thread(wait_for_go)
-    report(rounds, spec)
-    await asyncio.gather(
-        *(
-            exchange_forever(i, inbox, rounds, agents.publish)
-            for i, inbox in agents.inboxes.items()
-        )
-    )
+    await run_agents(spec, agents.places.inboxes, agents.publish)
 
 
 if __name__ == "__main__":

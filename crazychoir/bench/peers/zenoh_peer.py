@@ -10,11 +10,11 @@ import time
 from collections import deque
 from typing import Any
 
-from crazychoir.bench.peers.peers import report, say, specification, wait_for_go
+from crazychoir.bench.peers.peers import specification
 from crazychoir.bench.peers.round_inbox import (
     MESSAGE_LAYOUT,
     RoundInbox,
-    exchange_forever,
+    run_agents,
 )
 
 LOOK_INTERVAL = 0.05
@@ -95,16 +95,7 @@ async def main() -> None:
     spec = specification()
     agents = ZenohAgents(spec)
     agents.tokens = meet(agents.session, spec, 1 + len(spec["connect"]))
-    rounds = dict.fromkeys(spec["mine"], 0)
-    say({"ready": True})
-    await asyncio.to_thread(wait_for_go)
-    report(rounds, spec)
-    await asyncio.gather(
-        *(
-            exchange_forever(i, inbox, rounds, agents.publish)
-            for i, inbox in agents.inboxes.items()
-        )
-    )
+    await run_agents(spec, agents.inboxes, agents.publish)
 
 
 if __name__ == "__main__":

@@ -64,6 +64,19 @@ class ProcessIdentity:
         return cls(number, name, here, incarnation)
 
 
+def introduce_process(config: SwarmConfig, incarnation: int) -> Introduction:
+    """Return the introduction of a process that holds drones or their bodies.
+
+    incarnation: random number of the process
+    """
+    return Introduction(
+        swarm=config.name,
+        incarnation=incarnation,
+        version=PACKAGE_VERSION,
+        agreed=compute_body_digests(config),
+    )
+
+
 async def run_owner(
     config: SwarmConfig,
     owner: OwnerProcess,
@@ -88,12 +101,7 @@ async def run_owner(
     addresses = Addresses(config)
     link = ZenohLink(
         owner.bus,
-        Introduction(
-            swarm=config.name,
-            incarnation=identity.incarnation,
-            version=PACKAGE_VERSION,
-            agreed=compute_body_digests(config),
-        ),
+        introduce_process(config, identity.incarnation),
         SessionEndpoints(
             listen=[listen or addresses.endpoints()[identity.number]],
             connect=list(connect),

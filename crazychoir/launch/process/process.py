@@ -8,18 +8,19 @@ from typing import Any
 
 from crazychoir.agent.agent import Agent, AgentProcess
 from crazychoir.agent.worlds import WorldProcess
-from crazychoir.bus.network.hello import PACKAGE_VERSION
-from crazychoir.bus.network.hello_review import Introduction
 from crazychoir.bus.network.public_topics import PublicCopies
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.network.zenoh_session import SessionEndpoints
 from crazychoir.config.access import access_of
 from crazychoir.config.addresses import PROCESS_NUMBERS, Addresses
-from crazychoir.config.digest import compute_body_digests
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.guidance.mission import Mission
-from crazychoir.launch.process.owner import ProcessIdentity, run_owner
+from crazychoir.launch.process.owner import (
+    ProcessIdentity,
+    introduce_process,
+    run_owner,
+)
 from crazychoir.launch.process.signals import REPEAT_TIME, SIGNAL_NAMES
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
@@ -122,12 +123,7 @@ def _make_process_link(
 
     return ZenohLink(
         agent.bus,
-        Introduction(
-            swarm=config.name,
-            incarnation=agent.incarnation,
-            version=PACKAGE_VERSION,
-            agreed=compute_body_digests(config),
-        ),
+        introduce_process(config, agent.incarnation),
         SessionEndpoints(
             listen=[listen or own],
             connect=lower if connect is None else connect,

@@ -1,15 +1,9 @@
 """asyncio-for-robotics: its subscribers of Zenoh on uvloop; Zenoh's publishers send, as its manual says."""
 
-import asyncio
 import importlib
 
-from crazychoir.bench.peers.peers import say, specification, wait_for_go
-from crazychoir.bench.peers.trips.trip import (
-    TRIP_BYTES,
-    answer_later,
-    ask_for_window,
-    is_asking,
-)
+from crazychoir.bench.peers.peers import specification
+from crazychoir.bench.peers.trips.trip import TRIP_BYTES, run_drone
 from crazychoir.bench.peers.zenoh_peer import meet, open_session
 
 
@@ -22,19 +16,17 @@ async def main() -> None:
     subscriber = robotics.Sub(f"{spec['swarm']}/{1 - own}", session, scope=None)
     publisher = session.declare_publisher(f"{spec['swarm']}/{own}")
     arriving = subscriber.listen_reliable()
-    tokens = meet(session, spec, 2)
-    say({"ready": True, "tokens": len(tokens)})
-    await asyncio.to_thread(wait_for_go)
+    _tokens = meet(session, spec, 2)  # they disappear when they are not kept
 
     async def go_and_return() -> None:
         publisher.put(TRIP_BYTES)
         await anext(arriving)
 
-    if is_asking(spec):
-        await ask_for_window(spec, go_and_return)
-    answer_later(spec)
-    async for sample in arriving:
+    async def answer() -> None:
+        sample = await anext(arriving)
         publisher.put(sample.payload)
+
+    await run_drone(spec, go_and_return, answer)
 
 
 if __name__ == "__main__":

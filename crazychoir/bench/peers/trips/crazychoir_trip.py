@@ -4,13 +4,8 @@ import asyncio
 from typing import Any
 
 from crazychoir.bench.peers.crazychoir_peer import EXCHANGE_DEADLINE, join_others
-from crazychoir.bench.peers.peers import say, specification, wait_for_go
-from crazychoir.bench.peers.trips.trip import (
-    TRIP_BYTES,
-    answer_later,
-    ask_for_window,
-    is_asking,
-)
+from crazychoir.bench.peers.peers import specification
+from crazychoir.bench.peers.trips.trip import TRIP_BYTES, run_drone
 from crazychoir.bus.port import Bus
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.team.communicator import Communicator
@@ -28,16 +23,13 @@ async def main(clock: Clock) -> None:
         await communicator.send(TRIP_BYTES)
         await communicator.receive(deadline=EXCHANGE_DEADLINE)
 
+    async def answer() -> None:
+        heard = await communicator.receive(deadline=EXCHANGE_DEADLINE)
+        await communicator.send(next(iter(heard.values())))
+
     async with asyncio.TaskGroup() as group:
         await join_others(group, bus, team, spec)
-        say({"ready": True})
-        await asyncio.to_thread(wait_for_go)
-        if is_asking(spec):
-            await ask_for_window(spec, go_and_return)
-        answer_later(spec)
-        while True:
-            heard = await communicator.receive(deadline=EXCHANGE_DEADLINE)
-            await communicator.send(next(iter(heard.values())))
+        await run_drone(spec, go_and_return, answer)
 
 
 if __name__ == "__main__":

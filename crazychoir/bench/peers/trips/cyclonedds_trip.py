@@ -8,8 +8,8 @@ import importlib
 import os
 
 from crazychoir.bench.peers.cyclonedds_peer import CYCLONEDDS_SETTINGS, Participant
-from crazychoir.bench.peers.peers import say, specification, wait_for_go
-from crazychoir.bench.peers.trips.trip import answer_later, ask_for_window, is_asking
+from crazychoir.bench.peers.peers import specification
+from crazychoir.bench.peers.trips.trip import run_drone
 
 
 async def main() -> None:
@@ -20,8 +20,6 @@ async def main() -> None:
     inbox = participant.inboxes[own]
     writer = participant.writers[own]
     participant.wait_until_matched()
-    say({"ready": True})
-    await asyncio.to_thread(wait_for_go)
     k = 0
 
     async def go_and_return() -> None:
@@ -30,13 +28,13 @@ async def main() -> None:
         await inbox.get(k)
         k += 1
 
-    if is_asking(spec):
-        await ask_for_window(spec, go_and_return)
-    answer_later(spec)
-    while True:
+    async def answer() -> None:
+        nonlocal k
         await inbox.get(k)
         writer.write(participant.make_message(own, k))
         k += 1
+
+    await run_drone(spec, go_and_return, answer)
 
 
 if __name__ == "__main__":

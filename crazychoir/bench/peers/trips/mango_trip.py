@@ -4,13 +4,8 @@ import asyncio
 import importlib
 from typing import Any
 
-from crazychoir.bench.peers.peers import say, specification, wait_for_go
-from crazychoir.bench.peers.trips.trip import (
-    TRIP_BYTES,
-    answer_later,
-    ask_for_window,
-    is_asking,
-)
+from crazychoir.bench.peers.peers import specification
+from crazychoir.bench.peers.trips.trip import TRIP_BYTES, run_drone
 
 AGENT_NAME = "drone"
 TRIP_TEXT = TRIP_BYTES.decode()
@@ -48,15 +43,12 @@ async def main() -> None:
         await agent.send_message(TRIP_TEXT, receiver_addr=there)
         await agent.received.get()
 
+    async def answer() -> None:
+        content = await agent.received.get()
+        await agent.send_message(content, receiver_addr=there)
+
     async with mango.activate(container):
-        say({"ready": True})
-        await asyncio.to_thread(wait_for_go)
-        if is_asking(spec):
-            await ask_for_window(spec, go_and_return)
-        answer_later(spec)
-        while True:
-            content = await agent.received.get()
-            await agent.send_message(content, receiver_addr=there)
+        await run_drone(spec, go_and_return, answer)
 
 
 if __name__ == "__main__":

@@ -1,15 +1,9 @@
 """ZeroMQ: a PAIR of sockets of the host, with `zmq.asyncio` on uvloop."""
 
-import asyncio
 import importlib
 
-from crazychoir.bench.peers.peers import say, specification, wait_for_go
-from crazychoir.bench.peers.trips.trip import (
-    TRIP_BYTES,
-    answer_later,
-    ask_for_window,
-    is_asking,
-)
+from crazychoir.bench.peers.peers import specification
+from crazychoir.bench.peers.trips.trip import TRIP_BYTES, is_asking, run_drone
 
 
 async def main() -> None:
@@ -23,19 +17,16 @@ async def main() -> None:
         await pair.send(TRIP_BYTES)
         await pair.recv()
 
+    async def answer() -> None:
+        await pair.send(await pair.recv())
+
     if is_asking(spec):
         pair.connect(place)
         await go_and_return()
     else:
         pair.bind(place)
-        await pair.send(await pair.recv())
-    say({"ready": True})
-    await asyncio.to_thread(wait_for_go)
-    if is_asking(spec):
-        await ask_for_window(spec, go_and_return)
-    answer_later(spec)
-    while True:
-        await pair.send(await pair.recv())
+        await answer()
+    await run_drone(spec, go_and_return, answer)
 
 
 if __name__ == "__main__":

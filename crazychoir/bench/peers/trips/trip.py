@@ -1,4 +1,4 @@
-"""What the programs of the round trips share: the bytes, the drone that asks, and the drone that answers."""
+"""The parts that the programs of the round trips share: the bytes, and the drone that asks or answers."""
 
 import asyncio
 import statistics
@@ -7,7 +7,7 @@ import time
 from collections.abc import Awaitable, Callable
 from typing import Any
 
-from crazychoir.bench.peers.peers import say
+from crazychoir.bench.peers.peers import say, wait_for_go
 
 TRIP_BYTES = bytes(64)
 """What goes there and back."""
@@ -54,6 +54,26 @@ async def ask_for_window(
             break
     times.say()
     await asyncio.Event().wait()
+
+
+async def run_drone(
+    spec: dict[str, Any],
+    go_and_return: Callable[[], Awaitable[object]],
+    answer: Callable[[], Awaitable[object]],
+) -> None:
+    """Wait for go; then make round trips for a window, or answer, until killed.
+
+    spec: argument of the program
+    go_and_return: makes one round trip
+    answer: receives a message, and sends it back
+    """
+    say({"ready": True})
+    await asyncio.to_thread(wait_for_go)
+    if is_asking(spec):
+        await ask_for_window(spec, go_and_return)
+    answer_later(spec)
+    while True:
+        await answer()
 
 
 def answer_later(spec: dict[str, Any]) -> None:

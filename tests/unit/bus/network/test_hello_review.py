@@ -3,6 +3,7 @@
 from typing import Any
 
 import pytest
+from link_parts import make_hello
 
 from crazychoir.bus.network.hello import Hello
 from crazychoir.bus.network.hello_review import (
@@ -20,19 +21,7 @@ CAMERA = PORT_ADDRESSES.camera_offset
 
 def hello(**changes: Any) -> Hello:
     """Return the HELLO of process b with drone 1."""
-    fields = {
-        "process": "b",
-        "host": "there",
-        "incarnation": 2,
-        "version": "1",
-        "uptime": 1.0,
-        "drones": [1],
-        "observers": [],
-        "interests": [],
-        "heard": ["a"],
-        "stopped": False,
-    }
-    return Hello(**{**fields, **changes})
+    return make_hello(**{"process": "b", "host": "there", "heard": ["a"], **changes})
 
 
 class StoppedClock(Clock):
