@@ -89,8 +89,13 @@ class ForkedProcess:
         self.stdout = stdout
         self.returncode: int | None = None
         self._has_ended = asyncio.Event()
-        self._descriptor = os.pidfd_open(pid)
-        asyncio.get_running_loop().add_reader(self._descriptor, self._reap)
+        try:
+            self._descriptor = os.pidfd_open(pid)
+        except ProcessLookupError:  # it has ended, and this process ignores SIGCHLD
+            self.returncode = UNKNOWN_EXIT_CODE
+            self._has_ended.set()
+        else:
+            asyncio.get_running_loop().add_reader(self._descriptor, self._reap)
 
     def _reap(self) -> None:
         asyncio.get_running_loop().remove_reader(self._descriptor)
@@ -111,7 +116,8 @@ class ForkedProcess:
     def send_signal(self, number: int) -> None:
         """Send it a signal, unless it has ended."""
         if self.returncode is None:
-            os.kill(self.pid, number)
+            with contextlib.suppress(ProcessLookupError):  # as above
+                signal.pidfd_send_signal(self._descriptor, number)
 
     def kill(self) -> None:
         """End it at once."""
@@ -267,8 +273,9 @@ def _memory_file(content: bytes) -> BinaryIO:
 
 def _end_process(number: int) -> None:
     """End an adopted process at once."""
-    os.kill(number, signal.SIGKILL)
-    with contextlib.suppress(ChildProcessError):  # this process ignores SIGCHLD
+    # Where this process ignores SIGCHLD, nothing is left of a process that has ended.
+    with contextlib.suppress(ProcessLookupError, ChildProcessError):
+        os.kill(number, signal.SIGKILL)
         os.waitpid(number, 0)
 
 

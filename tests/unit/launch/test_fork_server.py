@@ -13,7 +13,7 @@ import pytest
 
 from crazychoir.errors import ProcessFailed
 from crazychoir.launch import fork_server
-from crazychoir.launch.fork_server import ForkServer
+from crazychoir.launch.fork_server import ForkedProcess, ForkServer
 from crazychoir.launch.processes import SwarmLauncher
 
 SERVER = """
@@ -298,6 +298,33 @@ async def test_end_is_noticed_where_the_system_keeps_no_exit_codes(write_program
     finally:
         signal.signal(signal.SIGCHLD, before)
     assert code == 255
+
+
+async def test_process_of_that_nothing_is_left_has_ended():
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    child = ForkedProcess(ended.pid, asyncio.StreamReader())
+    child.kill()  # has no effect
+    assert await child.wait() == 255
+
+
+async def test_signal_comes_too_late_where_the_system_keeps_no_exit_codes():
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        running = subprocess.Popen(
+            [sys.executable, "-c", "input()"],
+            stdin=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
+        child = ForkedProcess(running.pid, asyncio.StreamReader())
+        running.stdin.close()
+        while is_running(running.pid):
+            time.sleep(0.001)  # the loop of this test does not notice the end
+        child.kill()
+        assert await child.wait() == 255
+        running.wait()
+    finally:
+        signal.signal(signal.SIGCHLD, before)
 
 
 async def test_signals_reach_the_process(write_program):
