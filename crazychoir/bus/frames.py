@@ -200,8 +200,14 @@ class FrameBuffer:
         self._total = 0
         self._places.clear()
         if total <= self._room and 0 < len(envelopes) <= FRAME_FORMAT.max_envelopes:
-            return [self._frame(envelopes)]
-        return [self._frame(part) for part in self._parts(envelopes)]
+            parts = [envelopes]
+        else:
+            parts = self._parts(envelopes)
+        frames = []
+        for part in parts:
+            frame = Frame(self.process, self.incarnation, self.kind, part)
+            frames.append(encode_frame(frame, self.limit))
+        return frames
 
     def _refusal(self, envelope: Envelope, size: int) -> CodecError:
         return CodecError(
@@ -209,11 +215,6 @@ class FrameBuffer:
             f"of {len(envelope.channel)}, {len(envelope.to)} destinations; allowed: {self._room} bytes, 0 to "
             f"{FRAME_FORMAT.max_age:g} s, {FRAME_FORMAT.max_name_length} characters, "
             f"{FRAME_FORMAT.max_destinations} destinations."
-        )
-
-    def _frame(self, envelopes: list[Envelope]) -> bytes:
-        return encode_frame(
-            Frame(self.process, self.incarnation, self.kind, envelopes), self.limit
         )
 
     def _parts(self, envelopes: list[Envelope]) -> list[list[Envelope]]:

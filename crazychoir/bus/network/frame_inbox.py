@@ -159,43 +159,36 @@ class FrameInbox:
         """Deliver the messages of a peer that it may send to the ports of this process."""
         directory = self._table.directory
         access = self._table.access
-        waited = (self._now_ns() - arrived_ns) / NS_PER_SECOND
-        for message in messages:
-            if message.topic == MESSAGE_TOPICS.hello.number:
-                self._greeter.take_hello(peer, message.payload, message.age + waited)
-            elif message.topic == MESSAGE_TOPICS.clock.number:
-                self._greeter.take_clock_message(peer, message.payload, arrived_ns)
-            elif directory.get(message.source) is not peer:
-                self._counters.strangers += 1
-            elif access is not None and not access.may_say(peer.host, message):
-                self._forbid(peer)
-            else:
-                age = message.age + waited
-                self._deliver(message, age)
-
-    def _deliver(self, envelope: Envelope, age: float) -> None:
-        """Deliver a message to the ports of this process to which it is addressed.
-
-        age: s, its age
-        """
-        topic = TOPIC_BY_NUMBER.get(envelope.topic)
-        if topic is None:
-            self._counters.malformed += 1
-            return
-        message = Message(
-            topic,
-            envelope.source,
-            envelope.payload,
-            envelope.number,
-            envelope.channel,
-            envelope.flags,
-        )
         ports = self._bus.ports
-        here: dict[int, None] = {}
-        for j in envelope.to:
-            if j in ports:
-                here[j] = None
-        self._bus.deliver(message, here, age)
+        waited = (self._now_ns() - arrived_ns) / NS_PER_SECOND
+        for envelope in messages:
+            topic = TOPIC_BY_NUMBER.get(envelope.topic)
+            if topic is None:
+                self._counters.malformed += 1
+                continue
+            age = envelope.age + waited
+            if topic is MESSAGE_TOPICS.hello:
+                self._greeter.take_hello(peer, envelope.payload, age)
+                continue
+            if topic is MESSAGE_TOPICS.clock:
+                self._greeter.take_clock_message(peer, envelope.payload, arrived_ns)
+                continue
+            if directory.get(envelope.source) is not peer:
+                self._counters.strangers += 1
+                continue
+            if access is not None and not access.may_say(peer.host, envelope):
+                self._forbid(peer)
+                continue
+            message = Message(
+                topic,
+                envelope.source,
+                envelope.payload,
+                envelope.number,
+                envelope.channel,
+                envelope.flags,
+            )
+            here = {j: None for j in envelope.to if j in ports}
+            self._bus.deliver(message, here, age)
 
     def _forbid(self, peer: Peer) -> None:
         """Count a command that is not executed, and log the process once."""

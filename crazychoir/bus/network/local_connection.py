@@ -116,6 +116,8 @@ class LocalConnection:
     Attributes:
     process: name of the other process; empty until it is known
     path: path of the other process, if this one has connected
+    leaving: frame that waits until the socket has room, a part of it may have left; None if no frame
+        waits
     """
 
     def __init__(self, made: socket.socket) -> None:
@@ -128,22 +130,16 @@ class LocalConnection:
         self.path = ""
         # The system counts its own records too: a packet may have at most about half of the buffer.
         self._piece_size = min(CONNECTION_SIZES.piece_size, granted // 4)
-        self._leaving: LeavingFrame | None = None
-        """The frame that waits for room; a part of it may be in the socket."""
+        self.leaving: LeavingFrame | None = None
         self._waiting = {
             klass: WaitingFrames(keeps_newest=klass is MessageClass.CONTROL)
             for klass in sorted(MessageClass)
         }
-        """The frames behind it, from the most urgent class on."""
+        """The frames behind the leaving one, from the most urgent class on."""
         self._pieces = bytearray()
         """The pieces of a large frame that have arrived."""
 
     # Sending --------------------------------------------------------------------------
-
-    @property
-    def is_full(self) -> bool:
-        """Whether frames wait until the socket has room."""
-        return self._leaving is not None
 
     def send(self, klass: MessageClass, frame: bytes, now_ns: int) -> int:
         """Send a frame, or let it wait; return how many frames were dropped.
@@ -151,29 +147,29 @@ class LocalConnection:
         now_ns: ns, time by the clock of the machine
         Raises OSError if the connection is broken.
         """
-        if self._leaving is not None:
+        if self.leaving is not None:
             return self._waiting[klass].add(LeavingFrame(frame, now_ns))
         if len(frame) <= self._piece_size:
             packet = PACKET_HEAD.pack(LAST_PIECE_MARK, 0, now_ns) + frame
             try:
                 self.socket.send(packet, socket.MSG_NOSIGNAL)
             except (BlockingIOError, InterruptedError):
-                self._leaving = LeavingFrame(frame, now_ns)
+                self.leaving = LeavingFrame(frame, now_ns)
             return 0
-        self._leaving = LeavingFrame(frame, now_ns)
+        self.leaving = LeavingFrame(frame, now_ns)
         self.send_waiting()
         return 0
 
     def send_waiting(self) -> None:
         """Send the frames that wait, as many as have room. Raises OSError if the connection is broken."""
         try:
-            while self._leaving is not None:
-                frame = self._leaving
+            while self.leaving is not None:
+                frame = self.leaving
                 packet = frame.cut_packet(self._piece_size)
                 self.socket.send(packet, socket.MSG_NOSIGNAL)
                 frame.start += self._piece_size
                 if frame.start >= len(frame.content):
-                    self._leaving = self._take_most_urgent()
+                    self.leaving = self._take_most_urgent()
         except (BlockingIOError, InterruptedError):
             return
 
@@ -186,8 +182,8 @@ class LocalConnection:
 
     def drop_waiting(self) -> None:
         """Drop all frames that wait."""
-        while self._leaving is not None:
-            self._leaving = self._take_most_urgent()
+        while self.leaving is not None:
+            self.leaving = self._take_most_urgent()
 
     # Receiving ------------------------------------------------------------------------
 
@@ -196,17 +192,18 @@ class LocalConnection:
 
         Raises ValueError for a packet that is neither a frame nor a piece of one.
         """
-        if packet[0] not in (PIECE_MARK, LAST_PIECE_MARK):
-            raise ValueError("no packet of a frame")
         if len(packet) <= PACKET_HEAD.size:
             raise ValueError("a packet without a content")
         mark, start, sent_ns = PACKET_HEAD.unpack_from(packet)
         content = packet[PACKET_HEAD.size :]
         pieces = self._pieces
+        if mark == LAST_PIECE_MARK and start == 0:
+            pieces.clear()
+            return content, sent_ns
+        if mark not in (PIECE_MARK, LAST_PIECE_MARK):
+            raise ValueError("no packet of a frame")
         if start == 0:
             pieces.clear()
-            if mark == LAST_PIECE_MARK:
-                return content, sent_ns
         if start != len(pieces) or start > FRAME_FORMAT.max_bytes:
             pieces.clear()  # a piece before this one is lost
             return None

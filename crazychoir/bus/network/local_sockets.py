@@ -217,7 +217,7 @@ class LocalSockets:
         Returns True unless the frame was dropped.
         """
         connection = self._connections[process]
-        was_full = connection.is_full
+        was_full = connection.leaving is not None
         try:
             dropped = connection.send(klass, frame, self._now_ns())
         except OSError:
@@ -226,7 +226,7 @@ class LocalSockets:
         if dropped:
             self._counters.full += dropped
             return klass is MessageClass.CONTROL
-        if connection.is_full and not was_full:
+        if connection.leaving is not None and not was_full:
             self._loop.add_writer(connection.socket.fileno(), self._write, connection)
         return True
 
@@ -236,7 +236,7 @@ class LocalSockets:
             connection.send_waiting()
         except OSError:
             self._give_up(connection)
-        if not connection.is_full:
+        if connection.leaving is None:
             self._loop.remove_writer(connection.socket.fileno())
 
     def _give_up(self, connection: LocalConnection) -> None:
@@ -267,13 +267,9 @@ class LocalSockets:
         except OSError:
             self._counters.broken += 1
             packet = b""
-        if packet:
-            self._take(connection, packet)
-        else:
+        if not packet:
             self._end(connection)
-
-    def _take(self, connection: LocalConnection, packet: bytes) -> None:
-        """Take a packet: a frame, a piece of a frame, or an identity."""
+            return
         if not connection.process:
             self._introduce(connection, packet)
             return

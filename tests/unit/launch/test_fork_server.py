@@ -300,10 +300,25 @@ async def test_end_is_noticed_where_the_system_keeps_no_exit_codes(write_program
     assert code == 255
 
 
+def start_program():
+    """Start a program that waits for the end of its input."""
+    return subprocess.Popen(
+        [sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=subprocess.PIPE
+    )
+
+
+def end_without_loop(program):
+    """End the program; the event loop of this test does not notice it meanwhile."""
+    program.stdin.close()
+    while is_running(program.pid):
+        time.sleep(0.001)
+    program.wait()
+
+
 async def test_process_of_that_nothing_is_left_has_ended():
-    ended = subprocess.Popen([sys.executable, "-c", ""])
-    ended.wait()
-    child = ForkedProcess(ended.pid, asyncio.StreamReader())
+    program = start_program()
+    end_without_loop(program)
+    child = ForkedProcess(program.pid, asyncio.StreamReader())
     child.kill()  # has no effect
     assert await child.wait() == 255
 
@@ -311,18 +326,11 @@ async def test_process_of_that_nothing_is_left_has_ended():
 async def test_signal_comes_too_late_where_the_system_keeps_no_exit_codes():
     before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     try:
-        running = subprocess.Popen(
-            [sys.executable, "-c", "input()"],
-            stdin=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-        )
-        child = ForkedProcess(running.pid, asyncio.StreamReader())
-        running.stdin.close()
-        while is_running(running.pid):
-            time.sleep(0.001)  # the loop of this test does not notice the end
+        program = start_program()
+        child = ForkedProcess(program.pid, asyncio.StreamReader())
+        end_without_loop(program)
         child.kill()
         assert await child.wait() == 255
-        running.wait()
     finally:
         signal.signal(signal.SIGCHLD, before)
 
