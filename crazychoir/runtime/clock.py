@@ -130,6 +130,10 @@ class Clock:
         self.push(when_ns, alarm, priority, drone)
         return alarm
 
+    def find_tick_start(self, period_ns: int) -> int:
+        """Return the time from which ticks with this period, in ns, are counted now."""
+        return self.now_ns()
+
     def future(self) -> "asyncio.Future[None]":
         """Return a future of this clock's loop."""
         return asyncio.Future(loop=self._loop)
@@ -261,14 +265,18 @@ class ClockWait:
 
 
 class Ticks(ClockWait):
-    """Ticks at k / hz s from the start, for `async for`: each is the due time in ns.
+    """Ticks at k / hz s from a start, for `async for`: each is the due time in ns.
+
+    In real time all ticks of a process have the same start. So ticks that are due together wake the
+    process once.
 
     A tick that is missed is counted in `missed` and never made up for.
     """
 
     def __init__(self, clock: Clock, hz: float, priority: int, drone: int) -> None:
-        super().__init__(clock, clock.now_ns(), priority, drone)
         self.period_ns = round(NS_PER_SECOND / hz)
+        start_ns = clock.find_tick_start(self.period_ns)
+        super().__init__(clock, start_ns, priority, drone)
         self.missed = 0
         """Ticks that were skipped."""
 
@@ -310,7 +318,8 @@ class WallClock(Clock):
         super().__init__()
         self._loop = loop
         self._fd = Timerfd()
-        self.epoch_ns = time.time_ns() - time.monotonic_ns()
+        self._start_ns = time.monotonic_ns()
+        self.epoch_ns = time.time_ns() - self._start_ns
         self._armed_ns = 0
         # One processor stays free for the event loop.
         spare = max(1, min(4, (os.cpu_count() or 1) - 1))
@@ -319,6 +328,11 @@ class WallClock(Clock):
 
     # Without a Python frame of its own: it is called very often.
     now_ns = staticmethod(time.monotonic_ns)
+
+    def find_tick_start(self, period_ns: int) -> int:
+        """Return the last of the times that are whole periods after the creation of this clock."""
+        now_ns = time.monotonic_ns()
+        return now_ns - (now_ns - self._start_ns) % period_ns
 
     async def compute(self, function: Callable[..., T], *args: Any) -> T:
         """Run the function in a thread: HiGHS and compiled kernels release the interpreter."""

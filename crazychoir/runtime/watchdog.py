@@ -159,10 +159,9 @@ class Watchdog:
         self._beat_ns = self.clock.now_ns()
         self._guard.since_ns = 0
         if not self._ending.is_set():
-            self.clock.call_at(
-                self._beat_ns + round(WATCHDOG_TIMES.beat_interval * NS_PER_SECOND),
-                self._beat,
-            )
+            interval_ns = round(WATCHDOG_TIMES.beat_interval * NS_PER_SECOND)
+            start_ns = self.clock.find_tick_start(interval_ns)
+            self.clock.call_at(start_ns + interval_ns, self._beat)
 
     def _watch(self) -> None:
         looked_ns = self.clock.now_ns()

@@ -305,6 +305,20 @@ def test_ticks_in_real_time():
     assert seen[-1] == (20 + missed) * 2 * MS
 
 
+def test_ticks_in_real_time_are_due_together_whenever_they_began():
+    async def main(clock):
+        first = clock.ticks(100)
+        await clock.sleep(0.0137)
+        second = clock.ticks(50)
+        await clock.sleep(0.0041)
+        return first, second, clock.ticks(20), clock.now_ns()
+
+    first, second, third, now_ns = run_wall(main)
+    assert (second.due_ns - first.due_ns) % (10 * MS) == 0
+    assert (third.due_ns - first.due_ns) % (10 * MS) == 0
+    assert now_ns - 50 * MS < third.due_ns <= now_ns
+
+
 @pytest.mark.parametrize("run", [run_wall, run_virtual])
 def test_an_alarm_that_fails_does_not_stop_the_clock(run, caplog):
     async def main(clock):
