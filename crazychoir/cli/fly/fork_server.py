@@ -1,7 +1,7 @@
 """The fork server of `crazychoir run`: it imports what the processes of a swarm import, and forks them.
 
-Laws that are kept on disk are loaded at once. Missing laws are compiled when `run` has checked the
-swarm: errors in a swarm file are reported before anything is compiled.
+Laws that are kept on disk are loaded at once, and called in a short flight. Missing laws are compiled
+when `run` has checked the swarm: errors in a swarm file are reported before anything is compiled.
 """
 
 import socket
@@ -22,10 +22,25 @@ def main() -> None:
     with KERNEL_QUEUE.checks_first():
         _import_agent()
     KERNEL_QUEUE.load_kept()
+    if not KERNEL_QUEUE.count_waiting():
+        _fly_once()
     with socket.socket(fileno=int(sys.argv[1])) as requests:
-        program = serve_forks(requests, KERNEL_QUEUE.compile)
+        program = serve_forks(requests, _compile_missing_laws)
     if program is not None:
         program.run()
+
+
+def _compile_missing_laws() -> None:
+    """Compile the laws that are not kept on disk, and call all in a short flight."""
+    if KERNEL_QUEUE.count_waiting():
+        KERNEL_QUEUE.compile()
+        _fly_once()
+
+
+def _fly_once() -> None:
+    from crazychoir.launch.process.warm_flight import fly_once
+
+    fly_once()
 
 
 def _import_agent() -> None:
@@ -35,6 +50,7 @@ def _import_agent() -> None:
     import crazychoir.cli.shared.chosen_swarm
     import crazychoir.guidance.mission
     import crazychoir.launch.process.process
+    import crazychoir.launch.process.warm_flight
     import crazychoir.launch.processes  # noqa: F401
     from crazychoir.cli.fly import agent
 
