@@ -73,7 +73,7 @@ class Pacemaker(Actor):
 
     async def run(self) -> None:
         """Check once a period."""
-        async for _ in self.tick.clock.ticks(self.rate):
+        async for _ in self.tick.clock.ticks(self.rate, aligned=True):
             self.tick.tick_late_drones()
 
 

@@ -99,13 +99,13 @@ class ForkedProcess:
 
     def _reap(self) -> None:
         asyncio.get_running_loop().remove_reader(self._descriptor)
-        os.close(self._descriptor)
         try:
             _, status = os.waitpid(self.pid, 0)
         except ChildProcessError:  # this process ignores SIGCHLD
             self.returncode = UNKNOWN_EXIT_CODE
         else:
             self.returncode = os.waitstatus_to_exitcode(status)
+        os.close(self._descriptor)
         self._has_ended.set()
 
     async def wait(self) -> int | None:
@@ -116,7 +116,8 @@ class ForkedProcess:
     def send_signal(self, number: int) -> None:
         """Send it a signal, unless it has ended."""
         if self.returncode is None:
-            with contextlib.suppress(ProcessLookupError):  # as above
+            # It may have ended, and this process ignores SIGCHLD.
+            with contextlib.suppress(ProcessLookupError):
                 signal.pidfd_send_signal(self._descriptor, number)
 
     def kill(self) -> None:

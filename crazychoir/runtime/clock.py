@@ -130,8 +130,11 @@ class Clock:
         self.push(when_ns, alarm, priority, drone)
         return alarm
 
-    def find_tick_start(self, period_ns: int) -> int:
-        """Return the time from which ticks with this period, in ns, are counted now."""
+    def find_last_tick(self, period_ns: int) -> int:
+        """Return the time of the last aligned tick, ns: not after now, and less than a period ago.
+
+        period_ns: ns, of the ticks
+        """
         return self.now_ns()
 
     def future(self) -> "asyncio.Future[None]":
@@ -166,10 +169,19 @@ class Clock:
         await ClockWait(self, due_ns, AlarmPriority.TICK, drone)
 
     def ticks(
-        self, hz: float, priority: int = AlarmPriority.TICK, drone: int = -1
+        self,
+        hz: float,
+        priority: int = AlarmPriority.TICK,
+        drone: int = -1,
+        aligned: bool = False,
     ) -> "Ticks":
-        """Return an absolute schedule of `hz` ticks a second, for `async for`."""
-        return Ticks(self, hz, priority, drone)
+        """Return an absolute schedule of `hz` ticks a second, for `async for`.
+
+        aligned: True to begin at the last aligned tick, False to begin now. In real time the aligned
+            ticks of a process are due together, if one period is a multiple of the other in whole ns.
+            Together they wake it once. Ticks that send by radio are better spread.
+        """
+        return Ticks(self, hz, priority, drone, aligned)
 
     async def compute(self, function: Callable[..., T], *args: Any) -> T:
         """Run a slow function outside the event loop, and return its result."""
@@ -267,15 +279,14 @@ class ClockWait:
 class Ticks(ClockWait):
     """Ticks at k / hz s from a start, for `async for`: each is the due time in ns.
 
-    In real time all ticks of a process have the same start. So ticks that are due together wake the
-    process once.
-
     A tick that is missed is counted in `missed` and never made up for.
     """
 
-    def __init__(self, clock: Clock, hz: float, priority: int, drone: int) -> None:
+    def __init__(
+        self, clock: Clock, hz: float, priority: int, drone: int, aligned: bool
+    ) -> None:
         self.period_ns = round(NS_PER_SECOND / hz)
-        start_ns = clock.find_tick_start(self.period_ns)
+        start_ns = clock.find_last_tick(self.period_ns) if aligned else clock.now_ns()
         super().__init__(clock, start_ns, priority, drone)
         self.missed = 0
         """Ticks that were skipped."""
@@ -329,8 +340,8 @@ class WallClock(Clock):
     # Without a Python frame of its own: it is called very often.
     now_ns = staticmethod(time.monotonic_ns)
 
-    def find_tick_start(self, period_ns: int) -> int:
-        """Return the last of the times that are whole periods after the creation of this clock."""
+    def find_last_tick(self, period_ns: int) -> int:
+        """Return the last time up to now that is whole periods after the creation of this clock, ns."""
         now_ns = time.monotonic_ns()
         return now_ns - (now_ns - self._start_ns) % period_ns
 

@@ -21,7 +21,7 @@ class _Served:
 
 
 class SharedTicks:
-    """Ticks at k / hz s from the first `serve`: each calls the functions of all actors in turn.
+    """Aligned ticks, see `Clock.ticks`: each calls the functions of all actors in turn.
 
     An actor awaits `serve` in its `run`. So its supervisor learns of an error of its function and
     may start it again, while the functions of other actors go on. Missed ticks are skipped. A tick
@@ -46,7 +46,7 @@ class SharedTicks:
         served = _Served(work, self.clock.future())
         self._served.append(served)
         if self._alarm is None:
-            self._due_ns = self.clock.now_ns()
+            self._due_ns = self.clock.find_last_tick(self._period_ns)
             self._set_alarm()
         try:
             await served.failure

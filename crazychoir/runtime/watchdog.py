@@ -56,7 +56,10 @@ class WatchdogTimes:
     ends too: the other processes have lost it by then.
     """
     beat_interval: float = 0.020
-    """Seconds between two beats of the loop, and between two checks of the watchdog."""
+    """Seconds between two beats of a loop that is not late, and between two checks of the watchdog.
+
+    The first beat comes earlier, because beats are due together with the ticks of flight.
+    """
 
 
 WATCHDOG_TIMES = WatchdogTimes()
@@ -160,8 +163,8 @@ class Watchdog:
         self._guard.since_ns = 0
         if not self._ending.is_set():
             interval_ns = round(WATCHDOG_TIMES.beat_interval * NS_PER_SECOND)
-            start_ns = self.clock.find_tick_start(interval_ns)
-            self.clock.call_at(start_ns + interval_ns, self._beat)
+            last_ns = self.clock.find_last_tick(interval_ns)
+            self.clock.call_at(last_ns + interval_ns, self._beat)
 
     def _watch(self) -> None:
         looked_ns = self.clock.now_ns()

@@ -141,7 +141,7 @@ class WorldOwner(Actor):
         self.world = world
         self.cameras = cameras
         self.trace = trace
-        self.ticks = bus.clock.ticks(1.0 / world.dt, AlarmPriority.WORLD)
+        self.ticks = bus.clock.ticks(1.0 / world.dt, AlarmPriority.WORLD, aligned=True)
         self._ports = {i: bus.ports[base + i] for i in world.ids}
         self.telemetry = Telemetry(world, self._ports)
         self.takers: list[FrameTaker] = []

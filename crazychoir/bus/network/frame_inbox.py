@@ -163,9 +163,6 @@ class FrameInbox:
         waited = (self._now_ns() - arrived_ns) / NS_PER_SECOND
         for envelope in messages:
             topic = TOPIC_BY_NUMBER.get(envelope.topic)
-            if topic is None:
-                self._counters.malformed += 1
-                continue
             age = envelope.age + waited
             if topic is MESSAGE_TOPICS.hello:
                 self._greeter.take_hello(peer, envelope.payload, age)
@@ -179,6 +176,9 @@ class FrameInbox:
             if access is not None and not access.may_say(peer.host, envelope):
                 self._forbid(peer)
                 continue
+            if topic is None:
+                self._counters.malformed += 1
+                continue
             message = Message(
                 topic,
                 envelope.source,
@@ -187,7 +187,11 @@ class FrameInbox:
                 envelope.channel,
                 envelope.flags,
             )
-            here = {j: None for j in envelope.to if j in ports}
+            # A comprehension is a call in Python 3.11.
+            here: dict[int, None] = {}
+            for j in envelope.to:
+                if j in ports:
+                    here[j] = None
             self._bus.deliver(message, here, age)
 
     def _forbid(self, peer: Peer) -> None:

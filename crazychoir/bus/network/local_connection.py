@@ -116,8 +116,8 @@ class LocalConnection:
     Attributes:
     process: name of the other process; empty until it is known
     path: path of the other process, if this one has connected
-    leaving: frame that waits until the socket has room, a part of it may have left; None if no frame
-        waits
+    leaving: frame that waits until the socket has room; a part of it may have left already. None if no
+        frame waits. Only to be read from outside
     """
 
     def __init__(self, made: socket.socket) -> None:

@@ -307,20 +307,24 @@ def start_program():
     )
 
 
-def end_without_loop(program):
+def end_program(program):
     """End the program; the event loop of this test does not notice it meanwhile."""
     program.stdin.close()
-    while is_running(program.pid):
-        time.sleep(0.001)
     program.wait()
 
 
-async def test_process_of_that_nothing_is_left_has_ended():
+async def test_process_that_has_left_nothing_has_ended():
     program = start_program()
-    end_without_loop(program)
+    end_program(program)
     child = ForkedProcess(program.pid, asyncio.StreamReader())
     child.kill()  # has no effect
     assert await child.wait() == 255
+
+
+def test_process_that_has_left_nothing_need_not_be_ended():
+    program = start_program()
+    end_program(program)
+    fork_server._end_process(program.pid)  # raises nothing
 
 
 async def test_signal_comes_too_late_where_the_system_keeps_no_exit_codes():
@@ -328,7 +332,7 @@ async def test_signal_comes_too_late_where_the_system_keeps_no_exit_codes():
     try:
         program = start_program()
         child = ForkedProcess(program.pid, asyncio.StreamReader())
-        end_without_loop(program)
+        end_program(program)
         child.kill()
         assert await child.wait() == 255
     finally:

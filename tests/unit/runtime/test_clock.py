@@ -13,10 +13,13 @@ from crazychoir.runtime import clock as clock_module
 from crazychoir.runtime.clock import (
     NS_PER_SECOND,
     AlarmPriority,
+    Timerfd,
     run_virtual,
     run_wall,
 )
 from crazychoir.runtime.mailbox import Latest
+from crazychoir.runtime.shared_ticks import SharedTicks
+from crazychoir.runtime.watchdog import Watchdog
 
 MS = 1_000_000
 
@@ -305,18 +308,53 @@ def test_ticks_in_real_time():
     assert seen[-1] == (20 + missed) * 2 * MS
 
 
-def test_ticks_in_real_time_are_due_together_whenever_they_began():
+def test_aligned_ticks_are_due_together_whenever_they_began():
     async def main(clock):
-        first = clock.ticks(100)
+        first = clock.ticks(100, aligned=True)
         await clock.sleep(0.0137)
-        second = clock.ticks(50)
+        second = clock.ticks(50, aligned=True)
         await clock.sleep(0.0041)
-        return first, second, clock.ticks(20), clock.now_ns()
+        third = clock.ticks(20, aligned=True)
+        return first, second, third, clock.now_ns()
 
     first, second, third, now_ns = run_wall(main)
     assert (second.due_ns - first.due_ns) % (10 * MS) == 0
     assert (third.due_ns - first.due_ns) % (10 * MS) == 0
     assert now_ns - 50 * MS < third.due_ns <= now_ns
+
+
+def test_what_ticks_in_a_flight_wakes_the_process_once(monkeypatch):
+    woken = 0
+    set_timer = Timerfd.set
+
+    def count(timer, when_ns):
+        nonlocal woken
+        woken += 1
+        set_timer(timer, when_ns)
+
+    async def main(clock):
+        async def follow(hz):
+            async for _ in clock.ticks(hz, aligned=True):
+                pass
+
+        works = [follow(100), follow(50), SharedTicks(clock, 20).serve(lambda: None)]
+        for work in works:
+            tasks.append(asyncio.create_task(work))
+            await clock.sleep(0.0033)
+        watchdog = Watchdog(clock)
+        watchdog.start()
+        try:
+            before = woken
+            await clock.sleep_until(clock.find_last_tick(100 * MS) + 400 * MS)
+            return woken - before
+        finally:
+            watchdog.stop()
+            for task in tasks:
+                task.cancel()
+
+    tasks = []
+    monkeypatch.setattr(Timerfd, "set", count)
+    assert run_wall(main) <= 43  # a hundred times a second, and a few for the start
 
 
 @pytest.mark.parametrize("run", [run_wall, run_virtual])

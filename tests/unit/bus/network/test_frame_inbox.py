@@ -2,6 +2,7 @@
 
 import asyncio
 
+import msgspec
 import pytest
 import zenoh
 from link_parts import (
@@ -201,6 +202,17 @@ async def test_what_is_no_frame_of_the_process_of_a_socket_is_counted(receiver):
     receive("1-1", make_frame(log_line())[:-1], 0)
     assert counters.malformed == 1
     assert receiver.heard == []
+
+
+async def test_what_has_no_topic_is_counted_as_malformed_from_a_known_source_alone(
+    receiver,
+):
+    counters = receiver.counters
+    unknown = msgspec.structs.replace(log_line(), topic=251)
+    elsewhere = msgspec.structs.replace(unknown, source=7)
+    receiver.inbox.receive_local("1-1", make_frame(unknown, elsewhere, log_line()), 0)
+    assert (counters.malformed, counters.strangers) == (1, 1)
+    assert [text for text, _ in receiver.heard] == ["x"]
 
 
 async def test_a_flood_through_a_socket_is_cut_off(receiver, caplog):
