@@ -64,7 +64,7 @@ def run(
     if not rows:
         raise ConfigError(
             "bench exchange",
-            f"processes {choice.processes}, agents {choice.agents}",
+            f"{_list_numbers(choice.processes)} processes, {_list_numbers(choice.agents)} agents",
             "at most as many processes as agents",
         )
     shown = measure_in_turns(rows, seconds, repeats, say)
@@ -128,6 +128,11 @@ def _rows(choice: ExchangeChoice) -> list[ProgramRow]:
                 if processes <= n:
                     rows.extend(_list_programs(graph, n, processes))
     return rows
+
+
+def _list_numbers(numbers: tuple[int, ...]) -> str:
+    """Return numbers as text."""
+    return " and ".join(map(str, numbers))
 
 
 def _list_programs(graph: str, agents: int, processes: int) -> list[ProgramRow]:

@@ -387,11 +387,14 @@ def _describe_clocks(statuses: Iterable["Status"]) -> list[str]:
 def _describe_links(statuses: Iterable["Status"]) -> list[str]:
     """Return one line for each process with a link that has dropped frames or was broken."""
     faults = {
-        status.process: ", ".join(status.link_faults)
+        status.process: "; ".join(status.link_faults)
         for status in statuses
         if status.link_faults
     }
-    return [f"link of process {process}: {text}" for process, text in faults.items()]
+    return [
+        f"link of process {process} since its start: {faults[process]}"
+        for process in sorted(faults)
+    ]
 
 
 def _fit_on_line(text: str) -> Text:

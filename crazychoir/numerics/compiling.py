@@ -46,9 +46,18 @@ class KernelQueue:
             law.compile()
             report()
 
-    def load_kept(self) -> None:
-        """Load the waiting laws that are compiled and kept on disk; the others go on waiting."""
-        self._laws = [law for law in self._laws if not law.load_kept()]
+    def load_kept(self, report: Callable[[], object] = lambda: None) -> None:
+        """Load the waiting laws that are compiled and kept on disk; the others go on waiting.
+
+        report: called after each law that is loaded
+        """
+        missing = []
+        for law in self._laws:
+            if law.load_kept():
+                report()
+            else:
+                missing.append(law)
+        self._laws = missing
 
     @contextlib.contextmanager
     def checks_first(self) -> Iterator[None]:

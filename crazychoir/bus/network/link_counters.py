@@ -2,8 +2,13 @@
 
 from dataclasses import dataclass
 
-FAULT_COUNTS = ("full", "broken", "overtaken", "flooded")
-"""Counts that the operator sees during a flight, unless they are zero."""
+FAULT_TEXTS = {
+    "full": "frames dropped, because a process of this host reads too slowly",
+    "broken": "connections broken",
+    "overtaken": "control messages overtaken by newer ones",
+    "flooded": "frames dropped, because a host sends too many",
+}
+"""Counts that the operator sees during a flight, unless they are zero, with what they count."""
 
 
 @dataclass
@@ -51,6 +56,6 @@ class LinkCounters:
     """s: longest put."""
 
     def list_faults(self) -> list[str]:
-        """Return the name and value of each of FAULT_COUNTS that is not zero."""
-        counts = {name: getattr(self, name) for name in FAULT_COUNTS}
-        return [f"{name} {count}" for name, count in counts.items() if count]
+        """Return the value and the text of each of FAULT_TEXTS that is not zero."""
+        counts = {text: getattr(self, name) for name, text in FAULT_TEXTS.items()}
+        return [f"{count} {text}" for text, count in counts.items() if count]

@@ -12,7 +12,7 @@ from rich.console import RenderableType
 from rich.text import Text
 
 from crazychoir.bench.latency import latency
-from crazychoir.errors import CrazyChoirError
+from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
     ANSWER_CONSOLE,
@@ -83,6 +83,12 @@ def exchange(
         )
 
     def measure(say: Say) -> dict[str, Any]:
+        if round_trips and choice:
+            raise ConfigError(
+                "bench exchange",
+                "--round-trips with a choice of agents, processes or a graph",
+                "one of the two: round trips are between two agents in two processes",
+            )
         if round_trips:
             return bench_exchange.run_trips(quick=quick, say=say)
         return bench_exchange.run(quick=quick, say=say, choice=choice)

@@ -2,10 +2,12 @@
 
 import signal
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich import box
+from rich.console import Group
 from rich.table import Table
 
 from crazychoir.config.number_lists import parse_spans
@@ -22,6 +24,7 @@ from crazychoir.launch.console import (
 if TYPE_CHECKING:
     from crazychoir.bus.topics import Topic
     from crazychoir.cli.shared.observer import Answers, Window, Work
+    from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.launch.flight_observer import FlightScore
 
 SwarmOption = Annotated[
@@ -139,7 +142,7 @@ def status(
 ) -> None:
     """Show the state of each drone."""
 
-    async def work(window: "Window") -> "FlightScore":
+    async def work(window: "Window") -> "tuple[FlightScore, str]":
         # The agents may be starting just now on other hosts.
         if watch and window.patience:
             window.patience = max(window.patience, window.config.start_deadline)
@@ -153,14 +156,21 @@ def status(
 
             with Live(console=ANSWER_CONSOLE, refresh_per_second=4) as live:
                 async for _ in window.clock.ticks(4.0):
-                    live.update(build_status_table(score))
-        return score
+                    title = _describe_swarm(window.config)
+                    live.update(Group(title, build_status_table(score)))
+        return score, _describe_swarm(window.config)
 
-    score = run_as_observer(swarm, work, as_json)
+    score, title = run_as_observer(swarm, work, as_json)
     if as_json:
         write_json(dict(sorted(score.statuses.items())))
     else:
-        ANSWER_CONSOLE.print(build_status_table(score))
+        ANSWER_CONSOLE.print(Group(title, build_status_table(score)))
+
+
+def _describe_swarm(config: "SwarmConfig") -> str:
+    """Return the name and the mission of a swarm, since several may fly on one host."""
+    mission = f", mission {Path(config.mission).stem}" if config.mission else ""
+    return f"swarm {config.name}{mission}"
 
 
 def impair(

@@ -40,16 +40,20 @@ def compile_laws(as_json: JsonOption = False) -> None:
     with KERNEL_QUEUE.checks_first():
         for module in find_law_modules():
             import_with_extras(module)
-    waiting = KERNEL_QUEUE.count_waiting()
+    laws = KERNEL_QUEUE.count_waiting()
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=ERROR_CONSOLE, disable=as_json) as progress:
-        bar = progress.add_task("laws", total=waiting)
+        bar = progress.add_task("laws", total=laws)
+        KERNEL_QUEUE.load_kept(lambda: progress.advance(bar))
+        compiled = KERNEL_QUEUE.count_waiting()
         KERNEL_QUEUE.compile(lambda: progress.advance(bar))
     seconds = time.perf_counter() - began
     if as_json:
-        write_json({"laws": waiting, "seconds": seconds})
+        write_json({"laws": laws, "compiled": compiled, "seconds": seconds})
     else:
-        ANSWER_CONSOLE.print(f"{waiting} laws are compiled ({seconds:.1f} s)")
+        ANSWER_CONSOLE.print(
+            f"{laws} laws are ready, {compiled} of them compiled now ({seconds:.1f} s)"
+        )
     raise typer.Exit
 
 

@@ -12,11 +12,11 @@ from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission import Mission
 from crazychoir.runtime.clock import Clock, run_virtual
 
-DRONES = 2
+DRONE_COUNT = 2
 """Number of drones: each has a neighbour."""
 CRUISING_HEIGHT = 0.5
 """m: height of the flight."""
-DISTANCE = 0.2
+FLIGHT_LENGTH = 0.2
 """m: length of the flight."""
 
 
@@ -27,7 +27,7 @@ class ShortFlight(CFGuidance):
         """Fly once."""
         x, y, _ = self.member.config.drone(self.id).home
         await self.take_off(CRUISING_HEIGHT)
-        await self.go_to((x + DISTANCE, y, CRUISING_HEIGHT))
+        await self.go_to((x + FLIGHT_LENGTH, y, CRUISING_HEIGHT))
         await self.land()
         return {}
 
@@ -42,7 +42,7 @@ class ShortFlightMission:
 
 def fly_once() -> None:
     """Make the flight, with simulated drones of this process."""
-    config = default_swarm(DRONES)
+    config = default_swarm(DRONE_COUNT)
     mission = cast(Mission, ShortFlightMission())
 
     async def main(clock: Clock) -> None:

@@ -185,7 +185,7 @@ def test_faults_of_a_link_are_one_line_for_its_process():
     score = SimpleNamespace(ids=(0, 1, 2), statuses=statuses)
     lines = printed(show.build_status_table(score)).splitlines()
     assert [line.rstrip() for line in lines if "link" in line] == [
-        "link of process 0-a: full 12, broken 1"
+        "link of process 0-a since its start: full 12; broken 1"
     ]
 
 

@@ -8,7 +8,7 @@ import pytest
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.launch.process.warm_flight import (
     CRUISING_HEIGHT,
-    DISTANCE,
+    FLIGHT_LENGTH,
     ShortFlight,
     fly_once,
 )
@@ -26,7 +26,9 @@ def test_both_drones_fly_and_land(monkeypatch):
     monkeypatch.setattr(ShortFlight, "land", land)
     fly_once()
     for i in (0, 1):
-        assert places[i] == pytest.approx((DISTANCE, 0.0, CRUISING_HEIGHT), abs=0.05)
+        assert places[i] == pytest.approx(
+            (FLIGHT_LENGTH, 0.0, CRUISING_HEIGHT), abs=0.05
+        )
         assert places[i, "landed"] < 0.05
 
 

@@ -260,7 +260,9 @@ def test_faults_of_the_link_are_shown_within_a_second():
         running.cancel()
 
     run_virtual(main)
-    assert meeting.bus.link_faults == ["full 3"]
+    assert meeting.bus.link_faults == [
+        "3 frames dropped, because a process of this host reads too slowly"
+    ]
 
 
 def test_messages_that_cannot_be_decoded_are_counted():

@@ -1,12 +1,16 @@
 """The counts of a link that the operator sees."""
 
-from crazychoir.bus.network.link_counters import LinkCounters
+from crazychoir.bus.network.link_counters import FAULT_TEXTS, LinkCounters
 
 
 def test_only_faults_that_have_happened_are_listed():
     counters = LinkCounters(frames_sent=9, strangers=2, flooded=3, full=1)
-    assert counters.list_faults() == ["full 1", "flooded 3"]
+    full = f"1 {FAULT_TEXTS['full']}"
+    flooded = "3 frames dropped, because a host sends too many"
+    assert counters.list_faults() == [full, flooded]
     counters.broken = 4
     counters.overtaken = 5
-    assert counters.list_faults() == ["full 1", "broken 4", "overtaken 5", "flooded 3"]
+    broken = "4 connections broken"
+    overtaken = "5 control messages overtaken by newer ones"
+    assert counters.list_faults() == [full, broken, overtaken, flooded]
     assert LinkCounters(frames_sent=9).list_faults() == []
