@@ -179,13 +179,8 @@ async def run_children(
             await stack.enter_async_context(_run_owner(launcher, owner, children, say))
         await _run_agents(launcher, groups, children, config, say, all_wait)
     results: Results = {}
-    for group, child in children.items():
-        found = read_results(launcher.result_file(group))
-        results |= found
-        if not found:
-            say(
-                f"drone(s) {', '.join(map(str, group))}: no result: the process {_describe_end(child)}"
-            )
+    for group in children:
+        results |= read_results(launcher.result_file(group))
     return results
 
 
@@ -208,11 +203,14 @@ async def _run_agents(
         launcher.release_agents()
 
     async def until_its_end(group: tuple[int, ...]) -> None:
-        await _pass_on_output(children[group], say)
-        if all_wait() and not read_results(launcher.result_file(group)):
-            say(
-                f"drone(s) {', '.join(map(str, group))}: ended before the start: the others wait no more"
-            )
+        child = children[group]
+        await _pass_on_output(child, say)
+        if read_results(launcher.result_file(group)):
+            return
+        drones = f"drone(s) {', '.join(map(str, group))}"
+        say(f"{drones}: no result: the process {_describe_end(child)}")
+        if all_wait():
+            say(f"{drones}: ended before the start: the others wait no more")
             _signal_all(children.values(), signal.SIGTERM)
 
     def pass_on(number: signal.Signals) -> None:

@@ -117,7 +117,27 @@ async def test_printed_text_is_no_result_and_drones_without_a_result_are_named(
         Launcher(tmp_path, start), [(0, 1), (2,)], default_swarm(3), said.append
     )
     assert found == {0: {"success": True}, 1: {"success": True}}
-    assert said == ["{}", "{}", "drone(s) 2: no result: the process ended with code 3"]
+    lost = "drone(s) 2: no result: the process ended with code 3"
+    assert sorted(said) == [lost, "{}", "{}"]
+
+
+async def test_a_killed_process_is_told_while_the_others_go_on(tmp_path):
+    told = tmp_path / "told"
+
+    async def start(group, result):
+        if group == (0,):
+            return await child("import os; os.kill(os.getpid(), 9)")
+        return await child(
+            f"import os, time\nwhile not os.path.exists({str(told)!r}): time.sleep(0.01)"
+        )
+
+    def say(line):
+        if line == "drone(s) 0: no result: the process was ended by SIGKILL":
+            told.touch()
+
+    launcher = Launcher(tmp_path, start)
+    async with asyncio.timeout(30.0):
+        await run_children(launcher, [(0,), (1,)], default_swarm(2), say)
 
 
 async def test_what_all_wait_for_is_said_once(tmp_path, monkeypatch):
@@ -128,7 +148,8 @@ async def test_what_all_wait_for_is_said_once(tmp_path, monkeypatch):
     await run_children(
         Launcher(tmp_path, start), [(0,), (1,)], default_swarm(2), said.append
     )
-    assert sorted(said[:3]) == sorted([COMPILING_MESSAGE, "other", "other"])
+    printed = [line for line in said if "no result" not in line]
+    assert sorted(printed) == sorted([COMPILING_MESSAGE, "other", "other"])
 
 
 async def test_each_cache_that_is_not_kept_is_warned_of_once_in_a_run(
