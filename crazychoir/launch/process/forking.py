@@ -16,6 +16,7 @@ import random
 import signal
 import socket
 import sys
+import time
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,6 +27,10 @@ from crazychoir.launch.fork_server import WITHOUT_PROCESS, ForkRequest
 
 THREADS_FOLDER = Path("/proc/self/task")
 """Folder with an entry for each thread of this process."""
+THREAD_LOOK_INTERVAL = 0.002
+"""s: time between two looks at the threads."""
+MOST_THREAD_LOOKS = 1000
+"""Looks after which a thread counts as endless."""
 STATE_FILE = Path("/proc/self/stat")
 """File with the state of this process, see proc(5)."""
 ARGUMENTS_START = 45
@@ -127,13 +132,24 @@ def _get_ready_to_fork() -> None:
 
     Raises RuntimeError if this process has more than one thread.
     """
-    threads = len(list(THREADS_FOLDER.iterdir()))
-    if threads != 1:
-        raise RuntimeError(f"the fork server has {threads} threads; allowed: 1")
+    _wait_for_threads()
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # the run may ignore it
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # it ends a process that waits
     gc.collect()
     gc.freeze()
+
+
+def _wait_for_threads() -> None:
+    """Wait until all threads but this one have ended: a thread that is to end needs a moment.
+
+    Raises RuntimeError if there are others at the last look.
+    """
+    for _ in range(MOST_THREAD_LOOKS):
+        threads = len(list(THREADS_FOLDER.iterdir()))
+        if threads == 1:
+            return
+        time.sleep(THREAD_LOOK_INTERVAL)
+    raise RuntimeError(f"the fork server has {threads} threads; allowed: 1")
 
 
 def _fork_for_adoption(

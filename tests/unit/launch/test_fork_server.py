@@ -124,6 +124,13 @@ async def test_missing_module_is_named():
     assert output.endswith("ModuleNotFoundError: No module named 'no_such_module'\n")
 
 
+async def test_server_waits_for_a_thread_that_is_to_end(write_program):
+    write_program(
+        "print('on')", "threading.Thread(target=time.sleep, args=(0.2,)).start()"
+    )
+    assert await run_program() == (0, "on\n")
+
+
 async def test_server_has_one_thread_whatever_the_environment_says(monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
     with ForkServer() as server:
