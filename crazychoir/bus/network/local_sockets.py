@@ -262,7 +262,11 @@ class LocalSockets:
             return
         except ConnectionResetError:
             # The other process ended, and has not read all frames. Its own still wait here.
-            self._counters.broken += 1
+            if connection not in self._ending:
+                self._give_up(connection)
+            # uvloop no longer watches a socket that had an error.
+            self._loop.remove_reader(connection.socket.fileno())
+            self._loop.add_reader(connection.socket.fileno(), self._read, connection)
             return
         except OSError:
             self._counters.broken += 1

@@ -13,6 +13,7 @@ from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
+import uvloop
 
 from crazychoir.bus.frames import FRAME_FORMAT
 from crazychoir.bus.network import local_address, local_connection, local_sockets
@@ -132,17 +133,25 @@ async def test_large_frames_arrive_where_the_system_grants_small_buffers(
 
 
 @pytest.mark.parametrize("sends_too_late", [False, True])
-async def test_what_a_process_has_sent_before_its_end_is_read(ends, sends_too_late):
-    a, b = ends("a"), ends("b")
-    await connect(a, b)
-    b.send("a", VERSION + b"unread")
-    for n in range(10):
-        a.send("b", VERSION + bytes([n]))
-    a.sockets.close()
-    if sends_too_late:
-        b.send("a", VERSION + b"too late")
-    await until(lambda: len(b.frames) == 10)
-    await until(lambda: not b.sockets.is_connected("a"))
+@pytest.mark.parametrize("run", [asyncio.run, uvloop.run])
+def test_what_a_process_has_sent_before_its_end_is_read(ends, sends_too_late, run):
+    async def main() -> None:
+        a, b = ends("a"), ends("b")
+        await connect(a, b)
+        b.send("a", VERSION + b"unread")
+        for n in range(10):
+            a.send("b", VERSION + bytes([n]))
+        connection = b.sockets._connections["a"]
+        a.sockets.close()
+        if sends_too_late:
+            b.send("a", VERSION + b"too late")
+        await until(lambda: len(b.frames) == 10)
+        await until(lambda: connection.socket.fileno() < 0)
+        assert not b.sockets.is_connected("a")
+        assert b.counters.broken == 1
+        b.sockets.close()
+
+    run(main())
 
 
 async def test_a_pass_reads_one_frame_of_each_connection(ends):
