@@ -56,6 +56,6 @@ class LinkCounters:
     """s: longest put."""
 
     def list_faults(self) -> list[str]:
-        """Return the value and the text of each of FAULT_TEXTS that is not zero."""
+        """Return the text and the value of each of FAULT_TEXTS that is not zero."""
         counts = {text: getattr(self, name) for name, text in FAULT_TEXTS.items()}
-        return [f"{count} {text}" for text, count in counts.items() if count]
+        return [f"{text}: {count}" for text, count in counts.items() if count]

@@ -38,6 +38,7 @@ def _compile_missing_laws() -> None:
 
 
 def _fly_once() -> None:
+    """Make a short flight; its imports are those of `_import_agent`."""
     from crazychoir.launch.process.warm_flight import fly_once
 
     fly_once()

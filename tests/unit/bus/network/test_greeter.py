@@ -261,7 +261,7 @@ def test_faults_of_the_link_are_shown_within_a_second():
 
     run_virtual(main)
     assert meeting.bus.link_faults == [
-        "3 frames dropped, because a process of this host reads too slowly"
+        "frames dropped, because a process of this host reads too slowly: 3"
     ]
 
 
