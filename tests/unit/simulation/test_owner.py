@@ -1,8 +1,10 @@
 """The owner of a simulated world: when it looks, what it shows and how old that is, how it makes up for lost time."""
 
 import asyncio
+import gc
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,11 +17,14 @@ from crazychoir.mocap.simulated import CameraErrors, SimulatedMocap
 from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.runtime.clock import run_virtual, run_wall
 from crazychoir.runtime.mailbox import Call
+from crazychoir.simulation import owner as owner_module
 from crazychoir.simulation.lightweight.integrator import CFIntegrator, InputLags
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.owner import LARGEST_CATCH_UP, DelayedLink, WorldOwner
 from crazychoir.simulation.trace import Trace
 from crazychoir.types import FPQR, Body
+
+PACKAGE_FOLDER = str(Path(owner_module.__file__).parents[1])
 
 
 class Owned:
@@ -271,14 +276,17 @@ def count_calls(work):
     calls = []
 
     def note(frame, event, argument):
-        if event == "call" and "crazychoir" in frame.f_code.co_filename:
+        if event == "call" and frame.f_code.co_filename.startswith(PACKAGE_FOLDER):
             calls.append(frame.f_code.co_qualname)
 
+    gc.collect()
+    gc.disable()  # it would call what is garbage of other tests
     sys.setprofile(note)
     try:
         work()
     finally:
         sys.setprofile(None)
+        gc.enable()
     return len(calls)
 
 
