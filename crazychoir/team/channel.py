@@ -38,6 +38,8 @@ class RoundWindow:
 
     Also the most rounds of a neighbour that are buffered ahead.
     """
+    forgotten_at_once: int = 16
+    """Own rounds that are forgotten together where no reader asks for the rounds that it lacks."""
 
 
 ROUND_WINDOW = RoundWindow()
@@ -204,12 +206,12 @@ class Channel:
     """First round that a reader may still lack."""
     limit: int = 0
     """First round that may only be sent after a check of the readers' progress."""
-    until: float = 0
-    """First round for which `ins` and `outs` must be computed again."""
+    same_graph: range = range(0)
+    """Rounds of `ins` and `outs`."""
     ins: tuple[int, ...] = ()
-    """In-neighbours, valid before round `until`."""
+    """In-neighbours in the rounds `same_graph`."""
     outs: tuple[int, ...] = ()
-    """Out-neighbours, valid before round `until`."""
+    """Out-neighbours in the rounds `same_graph`."""
     sent: dict[int, Sent] = field(default_factory=dict)
     """{round: payload and readers} of the own rounds that are kept."""
     inbox: dict[int, dict[int, Message]] = field(default_factory=dict)
@@ -341,25 +343,27 @@ class Channel:
 
         Returns the readers that may lack the oldest kept round.
         """
+        end = self.sending
+        if pacing_only:
+            end -= ROUND_WINDOW.kept_rounds - ROUND_WINDOW.forgotten_at_once
         late: list[int] = []
-        while self.oldest < self.sending and not (
+        while self.oldest < end and not (
             late := self.behind(self.oldest, gone, pacing_only)
         ):
-            if pacing_only and self.sending - self.oldest < ROUND_WINDOW.kept_rounds:
-                break
             readers = self.sent.pop(self.oldest, NOT_SENT)[1]
             self.oldest += 1
-            if not pacing_only:
-                self._trim_on(readers, gone)
+            awaited = [j for j in readers if j not in gone]
+            if pacing_only:
+                awaited = [j for j in awaited if j in self.peers.pacing]
+            progress = min(
+                (self.peers.progress.get(j, 0) for j in awaited), default=end
+            )
+            self._forget_until(min(progress, end), readers)
         return late
 
-    def _trim_on(self, readers: tuple[int, ...], gone: dict[int, None]) -> None:
-        """Forget the following finished rounds that have the same readers, all together."""
-        done = min(
-            (self.peers.progress.get(j, 0) for j in readers if j not in gone),
-            default=self.sending,
-        )
-        while self.oldest < done and self.sent.get(self.oldest, NOT_SENT)[1] is readers:
+    def _forget_until(self, end: int, readers: tuple[int, ...]) -> None:
+        """Forget the oldest kept rounds before round `end` that have these readers."""
+        while self.oldest < end and self.sent.get(self.oldest, NOT_SENT)[1] is readers:
             del self.sent[self.oldest]
             self.oldest += 1
 

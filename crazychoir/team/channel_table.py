@@ -110,11 +110,11 @@ class ChannelTable:
         )
 
     def find_neighbors(self, ch: Channel, k: int) -> None:
-        """Compute the neighbours in round k, and the round until which they are valid."""
+        """Compute the neighbours in round k, and the rounds with the same ones."""
         graph = self.epochs.at(ch.joinable, k)
         ch.ins = graph.in_neighbors(self.drone)
         ch.outs = graph.out_neighbors(self.drone)
-        ch.until = self.epochs.until(ch.joinable, k)
+        ch.same_graph = range(k, self.epochs.until(ch.joinable, k))
 
     def is_absent(self, j: int) -> bool:
         """Return True if j has left or is lost."""
@@ -127,7 +127,7 @@ class ChannelTable:
         self.epochs.replace(graph)
         self.known = self.epochs.known
         for ch in self.channels.values():
-            ch.until = 0
+            ch.same_graph = range(0)
 
     def hold(self) -> int:
         """Send no further round of a joinable channel until the next epoch.
@@ -181,7 +181,7 @@ class ChannelTable:
 
         changed: drones that have left or joined
         """
-        ch.until = 0
+        ch.same_graph = range(0)
         ch.limit = ch.oldest
         ch.peers.forget(changed)
         missing = ch.wait.missing

@@ -79,6 +79,7 @@ class Communicator:
         self._sender = self.exchange.sender
         self._waits = self.exchange.waits
         self._open_all = self.exchange.arrivals.open_all
+        self._find_neighbors = self.exchange.table.find_neighbors
 
     @property
     def graph(self) -> AnyGraph:
@@ -151,13 +152,13 @@ class Communicator:
                     policy == "raise",
                 )
                 k = ch.sending
-            if k >= ch.until:
-                self.exchange.table.find_neighbors(ch, k)
+            if k not in ch.same_graph:
+                self._find_neighbors(ch, k)
             self._sender.send_round(
                 ch, data, ch.outs if out_neighbors is None else out_neighbors, DATA_KIND
             )
-        elif ch.receiving >= ch.until:
-            self.exchange.table.find_neighbors(ch, ch.receiving)
+        elif ch.receiving not in ch.same_graph:
+            self._find_neighbors(ch, ch.receiving)
         return await self._collect(
             ch, ch.ins if in_neighbors is None else in_neighbors, deadline, policy
         )
@@ -182,14 +183,12 @@ class Communicator:
                 ch, self.deadline if deadline is None else deadline, patient=False
             )
         k = ch.sending
-        readers = (
-            self._epochs.at(ch.joinable, k).out_neighbors(self.id)
-            if neighbors is None
-            else neighbors
-        )
-        self._sender.send_round(
-            ch, data, readers, DATA_KIND if ch.receiving >= k else AHEAD_KIND
-        )
+        if neighbors is None:
+            if k not in ch.same_graph:
+                self._find_neighbors(ch, k)
+            neighbors = ch.outs
+        kind = DATA_KIND if ch.receiving >= k else AHEAD_KIND
+        self._sender.send_round(ch, data, neighbors, kind)
 
     async def receive(
         self,
@@ -201,13 +200,11 @@ class Communicator:
     ) -> dict[int, Any]:
         """Wait for the next message of every neighbour."""
         ch = self._channels.get(channel) or self.open(channel)
-        k = ch.receiving
-        wanted = (
-            self._epochs.at(ch.joinable, k).in_neighbors(self.id)
-            if neighbors is None
-            else neighbors
-        )
-        return await self._collect(ch, wanted, deadline, policy)
+        if neighbors is None:
+            if ch.receiving not in ch.same_graph:
+                self._find_neighbors(ch, ch.receiving)
+            neighbors = ch.ins
+        return await self._collect(ch, neighbors, deadline, policy)
 
     async def asynchronous_receive(
         self,
@@ -222,12 +219,10 @@ class Communicator:
         Returns {j: value}; a neighbour without a message is left out.
         """
         ch = self._channels.get(channel) or self.open(channel)
-        k = ch.sending
-        wanted = (
-            self._epochs.at(ch.joinable, k).in_neighbors(self.id)
-            if neighbors is None
-            else neighbors
-        )
+        if neighbors is None:
+            if ch.sending not in ch.same_graph:
+                self._find_neighbors(ch, ch.sending)
+            neighbors = ch.ins
         oldest_ns = self._clock.now_ns() - max_age * NS_PER_SECOND
         latest = ch.peers.latest
         young = {
@@ -235,7 +230,7 @@ class Communicator:
             for j, (message, born_ns) in latest.items()
             if born_ns >= oldest_ns
         }
-        return self._open_all(young, wanted)
+        return self._open_all(young, neighbors)
 
     async def close(
         self, channel: str = "main", linger: float = CLOSING_RULES.linger_time

@@ -1,5 +1,6 @@
 """Epochs of a team: its members and its graph, and the round from which each holds."""
 
+import sys
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from math import inf
@@ -63,18 +64,18 @@ class Epochs:
             self._graphs[0][1],
         ).at(k)
 
-    def until(self, joinable: bool, k: int) -> float:
-        """Return the first round after k that may have another graph; inf if there is none yet.
+    def until(self, joinable: bool, k: int) -> int:
+        """Return the first round after k that may have another graph.
+
+        Returns sys.maxsize if there is none yet.
 
         joinable: whether the channel continues across epochs
         """
         if any(isinstance(graph, GraphSequence) for _, graph in self._graphs):
             return k + 1
-        return (
-            next((first for first, _ in self._graphs if first > k), inf)
-            if joinable
-            else inf
-        )
+        if not joinable:
+            return sys.maxsize
+        return next((first for first, _ in self._graphs if first > k), sys.maxsize)
 
     def hold(self, rounds: list[int]) -> int:
         """Hold the rounds from the highest of these on, and return that round.

@@ -26,9 +26,10 @@ from crazychoir.errors import (
 from crazychoir.runtime.clock import Clock, run_virtual, run_wall
 from crazychoir.team import graph as graphs
 from crazychoir.team.algorithm_run import run_algorithm
-from crazychoir.team.channel import ROUND_WINDOW
+from crazychoir.team.channel import ROUND_WINDOW, Channel
 from crazychoir.team.channel_table import CHANNEL_LIMITS, FAILURE_CHANNEL
 from crazychoir.team.communicator import Communicator
+from crazychoir.team.epochs import Epochs
 from crazychoir.team.graph import Graph, GraphSequence, metropolis
 from crazychoir.team.message_kind import (
     EPOCH_SHIFT,
@@ -104,6 +105,80 @@ def averaging(
         return iterates
 
     return agent
+
+
+@pytest.fixture
+def calls(monkeypatch) -> Counter[str]:
+    """Calls of parts of the package, by name of the function."""
+    counted: Counter[str] = Counter()
+
+    def count(owner: type, name: str) -> None:
+        original = getattr(owner, name)
+
+        def counting(*arguments: Any) -> Any:
+            counted[name] += 1
+            return original(*arguments)
+
+        monkeypatch.setattr(owner, name, counting)
+
+    count(Channel, "trim")
+    count(Epochs, "at")
+    return counted
+
+
+@pytest.mark.parametrize("answers", [False, True])
+def test_messages_of_a_long_channel_are_forgotten_together(calls, answers):
+    rounds = 40 * ROUND_WINDOW.forgotten_at_once
+
+    async def ask(c: Communicator) -> None:
+        for k in range(rounds):
+            await c.send(k)
+            if answers:
+                assert await c.receive() == {1: k}
+            ch = c.open("main")
+            kept = ch.sending - ch.oldest
+            assert kept == len(ch.sent) <= ROUND_WINDOW.kept_rounds
+
+    async def answer(c: Communicator) -> None:
+        for k in range(rounds if answers else 0):
+            assert await c.receive() == {0: k}
+            await c.send(k)
+
+    async def agent(c: Communicator) -> None:
+        await (ask(c) if c.id == 0 else answer(c))
+
+    swarm(graphs.path(2), agent)
+    assert calls["trim"] <= (1 + answers) * rounds / ROUND_WINDOW.forgotten_at_once
+
+
+def test_all_verbs_find_the_neighbours_of_a_lasting_graph_once(calls):
+    async def agent(c: Communicator) -> None:
+        for k in range(10):
+            await c.send(k)
+            await c.receive()
+            await c.asynchronous_receive()
+            await c.neighbors_exchange(k)
+
+    swarm(graphs.ring(3), agent)
+    assert calls["at"] == 3
+
+
+def test_a_drone_that_has_sent_ahead_receives_from_the_neighbours_of_each_round():
+    graph = GraphSequence(
+        tuple(
+            Graph.from_edges(3, edges, directed=True)
+            for edges in ([[0, 1], [1, 2], [2, 0]], [[1, 0], [2, 1], [0, 2]])
+        )
+    )
+
+    async def agent(c: Communicator) -> list[list[int]]:
+        for k in range(4):
+            await c.send(k)
+        return [list(await c.receive()) for _ in range(4)]
+
+    assert swarm(graph, agent) == {
+        i: [list(graph.at(k).in_neighbors(i)) for k in range(4)] for i in range(3)
+    }
 
 
 def in_a_loop(graph: Graph, rounds: int) -> dict[int, bytes]:
