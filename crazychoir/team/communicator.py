@@ -324,7 +324,7 @@ class Communicator:
                 if policy == "raise":
                     raise
             finally:
-                self._waits.end(ch)
+                ch.wait.end(self._clock.now_ns())
         else:
             ch.wait.own_lateness = 0.0
             if not wanted:

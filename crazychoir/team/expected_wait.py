@@ -48,6 +48,8 @@ LONGEST_SURPRISE: Final = 4.0
 
 So one long wait, for an agent that starts late, is not learned; long rounds are learned in a few.
 """
+SHORTEST_SURPRISE: Final = LONGEST_SURPRISE * RESEND_TIMES.shortest
+"""Seconds: a shorter wait is never such a surprise."""
 LOSS_WEIGHT: Final = 1 / 32
 """Weight of a new wait in the share of the waits with losses."""
 LOSSY_SHARE: Final = 0.1
@@ -69,8 +71,9 @@ class ExpectedWait:
 
     def learn(self, seconds: float) -> None:
         """Take into account a wait of this many seconds that no lost message has prolonged."""
-        heard = min(seconds, LONGEST_SURPRISE * self._find_patience())
-        error = heard - self.mean
+        if seconds > SHORTEST_SURPRISE:
+            seconds = min(seconds, LONGEST_SURPRISE * self._find_patience())
+        error = seconds - self.mean
         self.mean += MEAN_WEIGHT * error
         self.deviation += DEVIATION_WEIGHT * (abs(error) - self.deviation)
 

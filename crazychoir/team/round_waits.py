@@ -69,7 +69,6 @@ class RoundWaits:
         self._clock = port.bus.clock
         self._now_ns = self._clock.now_ns
         self._made_ns = self._now_ns()
-        self._waiting: list[Channel] = []
         self._alarm: Alarm | None = None
         self._due_ns = 0
 
@@ -92,7 +91,7 @@ class RoundWaits:
     def begin(
         self, ch: Channel, missing: dict[int, None], seconds: float
     ) -> "asyncio.Future[None]":
-        """Return a future for the messages of these neighbours; `end` ends the wait.
+        """Return a future for the messages of these neighbours; `RoundWait.end` ends the wait.
 
         Raises ConfigError if another caller already waits on the channel.
         """
@@ -107,7 +106,6 @@ class RoundWaits:
             )
         waiter = self._clock.future()
         wait.waiter = waiter
-        self._waiting.append(ch)
         if self._table.epochs.gaps or ch.peers.kept:
             missing = self._leave_out_silent(ch, missing)
             if not missing:
@@ -140,11 +138,6 @@ class RoundWaits:
         kept = ch.peers.kept
         return {j: None for j in missing if not is_silent(j, k) and k >= kept.get(j, 0)}
 
-    def end(self, ch: Channel) -> None:
-        """Learn from the end of a wait."""
-        self._waiting.remove(ch)
-        ch.wait.end(self._now_ns())
-
     def _check_at(self, due_ns: int) -> None:
         """Check the waiting channels at this time, in ns, unless they are checked earlier."""
         if self._alarm is not None:
@@ -160,7 +153,7 @@ class RoundWaits:
         """
         self._alarm = None
         now_ns = self._now_ns()
-        for ch in self._waiting:
+        for ch in list(self._table.channels.values()):
             if is_waiting(ch.wait):
                 ch.wait.plan_resend()
                 self._check_wait(ch, now_ns)

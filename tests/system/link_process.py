@@ -170,7 +170,7 @@ class Commands:
             "connected": [
                 peer.process
                 for peer in known
-                if self.link.sockets.is_connected(peer.process)
+                if peer.process in self.link.sockets.connections
             ],
             "path": self.link.sockets.address.path,
         }

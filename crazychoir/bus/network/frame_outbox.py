@@ -124,6 +124,7 @@ class FrameOutbox:
         self._is_scheduled = False
         counters = self._counters
         sockets = self._sockets
+        connections = sockets.connections
         session = self._session
         filled = self._filled
         self._filled = []
@@ -136,7 +137,7 @@ class FrameOutbox:
                 log.warning("not sent: %s", error)
                 continue
             for frame in frames:
-                if sockets.is_connected(queue.process):
+                if queue.process in connections:
                     is_sent = sockets.send(queue.process, queue.klass, frame)
                 else:
                     is_sent = session.send(queue.publisher.put, frame)

@@ -187,29 +187,24 @@ class LocalConnection:
 
     # Receiving ------------------------------------------------------------------------
 
-    def join_piece(self, packet: bytes) -> tuple[bytes, int] | None:
-        """Take a packet; return (frame, time of sending in ns) with the last piece of the frame.
+    def join_piece(self, mark: int, start: int, content: bytes) -> bytes:
+        """Take a piece of a frame; return the frame with its last piece, and else nothing.
 
-        Raises ValueError for a packet that is neither a frame nor a piece of one.
+        mark: PIECE_MARK or LAST_PIECE_MARK
+        start: place of the piece in the frame, in bytes
+        Raises ValueError for another mark.
         """
-        if len(packet) <= PACKET_HEAD.size:
-            raise ValueError("a packet without a content")
-        mark, start, sent_ns = PACKET_HEAD.unpack_from(packet)
-        content = packet[PACKET_HEAD.size :]
-        pieces = self._pieces
-        if mark == LAST_PIECE_MARK and start == 0:
-            pieces.clear()
-            return content, sent_ns
         if mark not in (PIECE_MARK, LAST_PIECE_MARK):
             raise ValueError("no packet of a frame")
+        pieces = self._pieces
         if start == 0:
             pieces.clear()
         if start != len(pieces) or start > FRAME_FORMAT.max_bytes:
             pieces.clear()  # a piece before this one is lost
-            return None
+            return b""
         pieces += content
         if mark == PIECE_MARK:
-            return None
+            return b""
         frame = bytes(pieces)
         pieces.clear()
-        return frame, sent_ns
+        return frame

@@ -15,6 +15,7 @@ import contextlib
 import logging
 import os
 import socket
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
@@ -34,7 +35,12 @@ from crazychoir.bus.network.local_address import (
     read_user,
     remove_stale_sockets,
 )
-from crazychoir.bus.network.local_connection import LARGEST_PACKET, LocalConnection
+from crazychoir.bus.network.local_connection import (
+    LARGEST_PACKET,
+    LAST_PIECE_MARK,
+    PACKET_HEAD,
+    LocalConnection,
+)
 from crazychoir.bus.topics import MessageClass
 from crazychoir.errors import ConfigError, error_text
 
@@ -58,6 +64,10 @@ class LocalSockets:
     is_known: says which processes may connect
     counters: gets the numbers of strangers, and of what did not go or come
     now_ns: returns the time in ns, by the clock of the machine
+
+    Attributes:
+    connections: {process: connection} of the processes that frames may go to. Only to be read from
+        outside
     """
 
     def __init__(
@@ -77,7 +87,7 @@ class LocalSockets:
         """Gets the frames, from `open` on: nothing arrives before."""
         self._listening: socket.socket | None = None
         self._strangers: dict[LocalConnection, None] = {}
-        self._connections: dict[str, LocalConnection] = {}
+        self.connections: dict[str, LocalConnection] = {}
         self._ending: dict[LocalConnection, None] = {}
 
     # Opening and closing --------------------------------------------------------------
@@ -108,7 +118,7 @@ class LocalSockets:
     def close(self) -> None:
         """End all connections, and remove the path."""
         for connection in [
-            *self._connections.values(),
+            *self.connections.values(),
             *self._strangers,
             *self._ending,
         ]:
@@ -133,7 +143,7 @@ class LocalSockets:
         """
         if not self._may_connect(process, address):
             return
-        known = self._connections.get(process)
+        known = self.connections.get(process)
         if known is not None:
             if known.path == address.path:
                 return
@@ -146,7 +156,7 @@ class LocalSockets:
         connection = self._adopt(made)
         connection.process = process
         connection.path = address.path
-        self._connections[process] = connection
+        self.connections[process] = connection
 
     def _may_connect(self, process: str, address: LocalAddress) -> bool:
         """Return True if it is on us to connect to this process, at an address of our folder."""
@@ -160,7 +170,7 @@ class LocalSockets:
 
     def forget(self, process: str) -> None:
         """End the connection to a process that is no peer any more."""
-        connection = self._connections.get(process)
+        connection = self.connections.get(process)
         if connection is not None:
             self._end(connection)
 
@@ -197,17 +207,13 @@ class LocalSockets:
         """Close a connection."""
         self._strangers.pop(connection, None)
         self._ending.pop(connection, None)
-        if self._connections.get(connection.process) is connection:
-            del self._connections[connection.process]
+        if self.connections.get(connection.process) is connection:
+            del self.connections[connection.process]
         self._loop.remove_reader(connection.socket.fileno())
         self._loop.remove_writer(connection.socket.fileno())
         connection.socket.close()
 
     # Sending --------------------------------------------------------------------------
-
-    def is_connected(self, process: str) -> bool:
-        """Return True if frames to this process may go through a socket."""
-        return process in self._connections
 
     def send(self, process: str, klass: MessageClass, frame: bytes) -> bool:
         """Send a frame to a connected process, a large one in pieces.
@@ -216,7 +222,7 @@ class LocalSockets:
         not read fast enough, the frame is dropped, or older ones of the class CONTROL.
         Returns True unless the frame was dropped.
         """
-        connection = self._connections[process]
+        connection = self.connections[process]
         was_full = connection.leaving is not None
         try:
             dropped = connection.send(klass, frame, self._now_ns())
@@ -243,8 +249,8 @@ class LocalSockets:
         """Send no more; read what has arrived, until the end of the connection."""
         self._counters.broken += 1
         connection.drop_waiting()
-        if self._connections.get(connection.process) is connection:
-            del self._connections[connection.process]
+        if self.connections.get(connection.process) is connection:
+            del self.connections[connection.process]
         self._ending[connection] = None
         with contextlib.suppress(OSError):
             connection.socket.shutdown(socket.SHUT_WR)
@@ -278,13 +284,16 @@ class LocalSockets:
             self._introduce(connection, packet)
             return
         try:
-            found = connection.join_piece(packet)
-        except ValueError:
+            mark, start, sent_ns = PACKET_HEAD.unpack_from(packet)
+            frame = packet[PACKET_HEAD.size :]
+            if mark != LAST_PIECE_MARK or start:
+                frame = connection.join_piece(mark, start, frame)
+                if not frame:
+                    return
+        except (struct.error, ValueError):
             self._counters.malformed += 1
             return
-        if found is not None:
-            frame, sent_ns = found
-            self._receive(connection.process, frame, sent_ns)
+        self._receive(connection.process, frame, sent_ns)
 
     def _introduce(self, connection: LocalConnection, packet: bytes) -> None:
         """Learn which process has connected; close the connection of a stranger."""
@@ -301,4 +310,4 @@ class LocalSockets:
             return
         self.forget(identity.process)
         connection.process = identity.process
-        self._connections[identity.process] = connection
+        self.connections[identity.process] = connection

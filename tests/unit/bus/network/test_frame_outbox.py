@@ -67,12 +67,9 @@ class NotedSockets:
     """Sockets to some processes of this host."""
 
     def __init__(self):
-        self.connected = ()
+        self.connections = ()
         self.is_full = False
         self.frames = []
-
-    def is_connected(self, process):
-        return process in self.connected
 
     def send(self, process, klass, frame):
         if not self.is_full:
@@ -140,11 +137,11 @@ async def test_only_the_newest_control_message_leaves(sending):
 
 
 async def test_frames_to_a_connected_process_go_through_its_socket(sending):
-    sending.sockets.connected = ("1-1",)
+    sending.sockets.connections = ("1-1",)
     sending.add(1)
     sending.outbox.flush()
     assert (len(sending.sockets.frames), sending.numbers) == (1, [])
-    sending.sockets.connected = ()
+    sending.sockets.connections = ()
     sending.add(2)
     sending.outbox.flush()
     assert (len(sending.sockets.frames), sending.numbers) == (1, [[2]])
@@ -155,7 +152,7 @@ async def test_frames_that_do_not_leave_are_not_counted_as_sent(sending):
     sending.session.refuses = True
     sending.add(1)
     sending.outbox.flush()
-    sending.sockets.connected = ("1-1",)
+    sending.sockets.connections = ("1-1",)
     sending.sockets.is_full = True
     sending.add(2)
     sending.outbox.flush()

@@ -87,7 +87,7 @@ async def connect(one: End, two: End) -> None:
     names = [end.sockets.identity.process for end in (one, two)]
     await until(
         lambda: (
-            one.sockets.is_connected(names[1]) and two.sockets.is_connected(names[0])
+            names[1] in one.sockets.connections and names[0] in two.sockets.connections
         )
     )
 
@@ -141,13 +141,13 @@ def test_what_a_process_has_sent_before_its_end_is_read(ends, sends_too_late, ru
         b.send("a", VERSION + b"unread")
         for n in range(10):
             a.send("b", VERSION + bytes([n]))
-        connection = b.sockets._connections["a"]
+        connection = b.sockets.connections["a"]
         a.sockets.close()
         if sends_too_late:
             b.send("a", VERSION + b"too late")
         await until(lambda: len(b.frames) == 10)
         await until(lambda: connection.socket.fileno() < 0)
-        assert not b.sockets.is_connected("a")
+        assert "a" not in b.sockets.connections
         assert b.counters.broken == 1
         b.sockets.close()
 
@@ -173,11 +173,11 @@ async def test_a_frame_to_a_process_that_has_ended_is_not_sent(ends):
     """The connection is read on until its end, and then closed with all others."""
     a, b = ends("a"), ends("b")
     await connect(a, b)
-    connection = a.sockets._connections["b"]
-    b.sockets._connections["a"].socket.close()
+    connection = a.sockets.connections["b"]
+    b.sockets.connections["a"].socket.close()
     assert not a.send("b", VERSION)
     assert a.counters.broken == 1
-    assert not a.sockets.is_connected("b")
+    assert "b" not in a.sockets.connections
     a.sockets.close()
     assert connection.socket.fileno() < 0
 
@@ -188,7 +188,7 @@ async def test_a_process_of_the_same_name_takes_the_place(ends):
     new = End("b", incarnation=2)
     try:
         a.sockets.reach("b", new.sockets.address)
-        await until(lambda: new.sockets.is_connected("a"))
+        await until(lambda: "a" in new.sockets.connections)
         a.send("b", VERSION)
         await until(lambda: new.frames)
         assert old.frames == []
@@ -202,7 +202,7 @@ async def test_only_sockets_of_the_own_folder_are_reached(ends, tmp_path):
     link.symlink_to(b.sockets.address.path)
     for path in (str(link), "\0abstract", ""):
         a.sockets.reach("b", LocalAddress(b.sockets.address.machine, path))
-        assert not a.sockets.is_connected("b")
+        assert "b" not in a.sockets.connections
 
 
 async def test_silent_connections_do_not_keep_others_out(ends):
@@ -244,7 +244,7 @@ async def test_urgent_frames_go_before_waiting_ones_of_other_classes(ends):
     await connect(a, b)
     for n in range(20):
         assert a.send("b", VERSION + bytes([n]) * 200_000, MessageClass.BULK)
-        if a.sockets._connections["b"].leaving is not None:
+        if a.sockets.connections["b"].leaving is not None:
             break
     for n in range(3):
         assert a.send("b", VERSION + b"bulk%d" % n, MessageClass.BULK)
@@ -305,7 +305,7 @@ async def test_an_end_that_closes_is_noticed_and_may_come_again(ends):
     a, b = ends("a"), ends("b")
     await connect(a, b)
     b.sockets.close()
-    await until(lambda: not a.sockets.is_connected("b"))
+    await until(lambda: "b" not in a.sockets.connections)
     again = ends("b")
     await connect(a, again)
     a.send("b", VERSION)
@@ -355,22 +355,22 @@ async def test_without_free_file_descriptors_the_network_is_used(ends, caplog):
         finally:
             resource.setrlimit(resource.RLIMIT_NOFILE, most)
     assert "no further local sockets" in caplog.text
-    assert not a.sockets.is_connected("b")
+    assert "b" not in a.sockets.connections
 
 
 async def test_the_lesser_name_connects(ends):
     a, b = ends("a"), ends("b")
     b.sockets.reach("a", a.sockets.address)
     await asyncio.sleep(0.02)
-    assert not a.sockets.is_connected("b")
-    assert not b.sockets.is_connected("a")
+    assert "b" not in a.sockets.connections
+    assert "a" not in b.sockets.connections
 
 
 async def test_another_network_namespace_is_another_host(ends):
     a, b = ends("a"), ends("b")
     elsewhere = LocalAddress("another machine", b.sockets.address.path)
     a.sockets.reach("b", elsewhere)
-    assert not a.sockets.is_connected("b")
+    assert "b" not in a.sockets.connections
 
 
 @pytest.mark.parametrize("swarm", ["swarm", "another"])
@@ -379,8 +379,8 @@ async def test_strangers_are_refused(ends, swarm):
     b.known = swarm != "swarm"
     a.sockets.reach("b", b.sockets.address)
     await until(lambda: b.counters.strangers == 1)
-    await until(lambda: not a.sockets.is_connected("b"))
-    assert not b.sockets.is_connected("a")
+    await until(lambda: "b" not in a.sockets.connections)
+    assert "a" not in b.sockets.connections
 
 
 @pytest.mark.parametrize("packet", [VERSION + b"frame", b"\xf2\xff", b"\xf2"])
@@ -409,7 +409,7 @@ async def test_a_frame_ages_while_its_reader_is_busy(ends, size):
 async def test_packets_that_are_no_frames_are_counted(ends, packet):
     a, b = ends("a"), ends("b")
     await connect(a, b)
-    a.sockets._connections["b"].socket.send(packet)
+    a.sockets.connections["b"].socket.send(packet)
     a.send("b", VERSION)
     await until(lambda: b.frames)
     assert b.frames == [("a", VERSION)]
@@ -448,7 +448,7 @@ async def test_a_reader_may_end_the_connection(ends):
     b.sockets._receive = lambda process, frame, sent_ns: b.sockets.forget(process)
     for _ in range(3):
         a.send("b", VERSION)
-    await until(lambda: not a.sockets.is_connected("b"))
+    await until(lambda: "b" not in a.sockets.connections)
     assert b.counters.broken == 0
 
 
@@ -457,14 +457,14 @@ async def test_a_second_connection_of_a_process_takes_the_place_of_the_first(end
     await connect(a, b)
     path = Path(b.sockets.address.path)
     with local_address.connect_to(path, a.sockets.identity):
-        await until(lambda: not a.sockets.is_connected("b"))
-        assert b.sockets.is_connected("a")
+        await until(lambda: "b" not in a.sockets.connections)
+        assert "a" in b.sockets.connections
 
 
 async def test_pieces_that_do_not_follow_each_other_are_no_frame(ends):
     a, b = ends("a"), ends("b")
     await connect(a, b)
-    raw = a.sockets._connections["b"].socket
+    raw = a.sockets.connections["b"].socket
     head = local_connection.PACKET_HEAD
     go_on, last = local_connection.PIECE_MARK, local_connection.LAST_PIECE_MARK
     raw.send(head.pack(last, 7, 0) + b"end without a start")
@@ -480,7 +480,7 @@ async def test_pieces_that_do_not_follow_each_other_are_no_frame(ends):
 async def test_pieces_without_end_take_no_memory(ends):
     a, b = ends("a"), ends("b")
     await connect(a, b)
-    raw = a.sockets._connections["b"].socket
+    raw = a.sockets.connections["b"].socket
     raw.setblocking(True)
     piece = bytes(100_000)
     for k in range(30):
@@ -489,7 +489,7 @@ async def test_pieces_without_end_take_no_memory(ends):
         await asyncio.to_thread(raw.send, head + piece)
     raw.setblocking(False)
     a.send("b", VERSION)
-    held = b.sockets._connections["a"]._pieces
+    held = b.sockets.connections["a"]._pieces
     assert len(held) <= FRAME_FORMAT.max_bytes + len(piece)
     await until(lambda: b.frames)
 
@@ -526,4 +526,4 @@ async def test_without_a_socket_the_network_is_used(ends, monkeypatch, fault, ca
     assert a.sockets.address.path == ""
     assert "reached over the network" in caplog.text
     a.sockets.reach("b", LocalAddress("", "x"))
-    assert not a.sockets.is_connected("b")
+    assert "b" not in a.sockets.connections
