@@ -39,7 +39,9 @@ class RoundWindow:
     Also the most rounds of a neighbour that are buffered ahead.
     """
     forgotten_at_once: int = 16
-    """Own rounds that are forgotten together where no reader asks for the rounds that it lacks."""
+    """Own rounds that are kept in addition where no reader holds up the sender, so that these rounds
+    are forgotten together.
+    """
 
 
 ROUND_WINDOW = RoundWindow()
@@ -250,10 +252,10 @@ class Channel:
 
     @property
     def used(self) -> bool:
-        """True while an algorithm is between its first round and the end of the channel."""
-        return self.closed_at < self.sending and bool(
-            self.sending or self.receiving or self.wait.waiter
-        )
+        """True while an algorithm is between its first round and the end of the channel, or waits."""
+        if self.wait.waiter is not None:
+            return True
+        return self.closed_at < self.sending and bool(self.sending or self.receiving)
 
     def take(self, message: Message, born_ns: int) -> bool:
         """Take a neighbour's message of a round.
@@ -345,11 +347,8 @@ class Channel:
         """
         end = self.sending
         if pacing_only:
-            end -= ROUND_WINDOW.kept_rounds - ROUND_WINDOW.forgotten_at_once
-        late: list[int] = []
-        while self.oldest < end and not (
-            late := self.behind(self.oldest, gone, pacing_only)
-        ):
+            end -= ROUND_WINDOW.kept_rounds - 1  # the next one is kept too
+        while self.oldest < end and not self.behind(self.oldest, gone, pacing_only):
             readers = self.sent.pop(self.oldest, NOT_SENT)[1]
             self.oldest += 1
             awaited = [j for j in readers if j not in gone]
@@ -359,7 +358,21 @@ class Channel:
                 (self.peers.progress.get(j, 0) for j in awaited), default=end
             )
             self._forget_until(min(progress, end), readers)
-        return late
+        return self.behind(self.oldest, gone, pacing_only)
+
+    def find_limit(self, gone: dict[int, None], pacing_only: bool) -> int:
+        """Return the first round that may only be sent after another check of the readers' progress.
+
+        No round goes to a reader that is a history behind, if that reader asks for rounds that it
+        lacks or `pacing_only` is False.
+        """
+        peers = self.peers
+        if not pacing_only:
+            return self.oldest + ROUND_WINDOW.kept_rounds
+        paced = [peers.progress.get(j, 0) for j in peers.pacing if j not in gone]
+        first = min(paced, default=self.sending) + ROUND_WINDOW.kept_rounds
+        together = ROUND_WINDOW.kept_rounds + ROUND_WINDOW.forgotten_at_once
+        return max(self.sending + 1, min(first, self.oldest + together))
 
     def _forget_until(self, end: int, readers: tuple[int, ...]) -> None:
         """Forget the oldest kept rounds before round `end` that have these readers."""

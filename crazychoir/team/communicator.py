@@ -324,7 +324,7 @@ class Communicator:
                 if policy == "raise":
                     raise
             finally:
-                ch.wait.end(self._clock.now_ns())
+                self._waits.end(ch)
         else:
             ch.wait.own_lateness = 0.0
             if not wanted:

@@ -234,7 +234,9 @@ class RoundArrivals:
                     ch, MessageKind.FIN, (source,), ch.closed_at, ch.answers
                 )
         else:
-            peers.pacing[source] = None
+            if source not in peers.pacing:
+                peers.pacing[source] = None
+                ch.limit = min(ch.limit, ch.sending)
         peers.progress[source] = max(
             min(number, ch.sending), peers.progress.get(source, 0)
         )

@@ -69,6 +69,7 @@ class RoundWaits:
         self._clock = port.bus.clock
         self._now_ns = self._clock.now_ns
         self._made_ns = self._now_ns()
+        self._waiting: list[Channel] = []
         self._alarm: Alarm | None = None
         self._due_ns = 0
 
@@ -91,7 +92,7 @@ class RoundWaits:
     def begin(
         self, ch: Channel, missing: dict[int, None], seconds: float
     ) -> "asyncio.Future[None]":
-        """Return a future for the messages of these neighbours; `RoundWait.end` ends the wait.
+        """Return a future for the messages of these neighbours; `end` ends the wait.
 
         Raises ConfigError if another caller already waits on the channel.
         """
@@ -106,6 +107,7 @@ class RoundWaits:
             )
         waiter = self._clock.future()
         wait.waiter = waiter
+        self._waiting.append(ch)
         if self._table.epochs.gaps or ch.peers.kept:
             missing = self._leave_out_silent(ch, missing)
             if not missing:
@@ -138,6 +140,11 @@ class RoundWaits:
         kept = ch.peers.kept
         return {j: None for j in missing if not is_silent(j, k) and k >= kept.get(j, 0)}
 
+    def end(self, ch: Channel) -> None:
+        """Learn from the end of a wait."""
+        self._waiting.remove(ch)
+        ch.wait.end(self._now_ns())
+
     def _check_at(self, due_ns: int) -> None:
         """Check the waiting channels at this time, in ns, unless they are checked earlier."""
         if self._alarm is not None:
@@ -153,7 +160,7 @@ class RoundWaits:
         """
         self._alarm = None
         now_ns = self._now_ns()
-        for ch in list(self._table.channels.values()):
+        for ch in self._waiting:
             if is_waiting(ch.wait):
                 ch.wait.plan_resend()
                 self._check_wait(ch, now_ns)
@@ -224,15 +231,14 @@ class RoundWaits:
             if not ch.joinable:
                 self.require_present(late)
             if self._clock.now() >= ends:
-                raise RoundTimeout(
-                    self._id, ch.name, ch.oldest, late or ch.ins, seconds
-                )
+                awaited = late or (ch.ins if patient else ())
+                raise RoundTimeout(self._id, ch.name, ch.oldest, awaited, seconds)
             await self.pause(ch, RESEND_TIMES.longest)
             ch.reminders += 1
             attempt = 2 * FIRST_UNASKED_ATTEMPT + ch.reminders
             for j in ch.behind(ch.oldest, epochs.gone, not patient):
                 self._sender.send_again(ch, ch.oldest, j, attempt, MessageKind.REPEAT)
-        limit = ch.oldest + ROUND_WINDOW.kept_rounds
+        limit = ch.find_limit(epochs.gone, not patient)
         ch.limit = int(min(limit, epochs.held if ch.joinable else inf))
 
     async def pause(self, ch: Channel, seconds: float) -> None:

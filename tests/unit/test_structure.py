@@ -772,6 +772,8 @@ def test_mypy_is_content_with_every_file_and_complains_about_a_faulty_one(
     faulty.write_text("def f(x):\n    return x\n")
     done = python("-m", "mypy", "crazychoir", str(faulty), cwd=repository)
     checked = len(list(python_files(repository / "crazychoir"))) + 1
-    error, summary = done.stdout.splitlines()
+    lines = done.stdout.splitlines()
+    assert len(lines) == 2, done.stdout + done.stderr
+    error, summary = lines
     assert "faulty_module.py:1: error: Function is missing a type annotation" in error
     assert summary == f"Found 1 error in 1 file (checked {checked} source files)"

@@ -116,6 +116,7 @@ class LocalConnection:
     Attributes:
     process: name of the other process; empty until it is known
     path: path of the other process, if this one has connected
+    pieces: the pieces of a large frame that have arrived. Only to be read from outside
     leaving: frame that waits until the socket has room; a part of it may have left already. None if no
         frame waits. Only to be read from outside
     """
@@ -136,8 +137,7 @@ class LocalConnection:
             for klass in sorted(MessageClass)
         }
         """The frames behind the leaving one, from the most urgent class on."""
-        self._pieces = bytearray()
-        """The pieces of a large frame that have arrived."""
+        self.pieces = bytearray()
 
     # Sending --------------------------------------------------------------------------
 
@@ -192,11 +192,11 @@ class LocalConnection:
 
         mark: PIECE_MARK or LAST_PIECE_MARK
         start: place of the piece in the frame, in bytes
-        Raises ValueError for another mark.
+        Raises ValueError for another mark, and for a piece without content.
         """
-        if mark not in (PIECE_MARK, LAST_PIECE_MARK):
+        if mark not in (PIECE_MARK, LAST_PIECE_MARK) or not content:
             raise ValueError("no packet of a frame")
-        pieces = self._pieces
+        pieces = self.pieces
         if start == 0:
             pieces.clear()
         if start != len(pieces) or start > FRAME_FORMAT.max_bytes:

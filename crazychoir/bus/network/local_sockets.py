@@ -286,14 +286,13 @@ class LocalSockets:
         try:
             mark, start, sent_ns = PACKET_HEAD.unpack_from(packet)
             frame = packet[PACKET_HEAD.size :]
-            if mark != LAST_PIECE_MARK or start:
+            if mark != LAST_PIECE_MARK or start or connection.pieces or not frame:
                 frame = connection.join_piece(mark, start, frame)
-                if not frame:
-                    return
         except (struct.error, ValueError):
             self._counters.malformed += 1
             return
-        self._receive(connection.process, frame, sent_ns)
+        if frame:
+            self._receive(connection.process, frame, sent_ns)
 
     def _introduce(self, connection: LocalConnection, packet: bytes) -> None:
         """Learn which process has connected; close the connection of a stranger."""

@@ -137,7 +137,9 @@ def test_messages_of_a_long_channel_are_forgotten_together(calls, answers):
                 assert await c.receive() == {1: k}
             ch = c.open("main")
             kept = ch.sending - ch.oldest
-            assert kept == len(ch.sent) <= ROUND_WINDOW.kept_rounds
+            assert kept == len(ch.sent)
+            least = min(ch.sending, ROUND_WINDOW.kept_rounds)
+            assert least <= kept <= least + ROUND_WINDOW.forgotten_at_once
 
     async def answer(c: Communicator) -> None:
         for k in range(rounds if answers else 0):
@@ -320,7 +322,31 @@ def test_an_exchange_after_a_send_completes_its_round():
     assert swarm(graphs.path(2), agent) == {0: [{1: 1}, {1: 11}], 1: [{0: 0}, {0: 10}]}
 
 
-def test_a_sender_keeps_messages_that_were_not_yet_requested():
+async def wait_after_the_end(c: Communicator) -> None:
+    """End a channel, and wait on it all the same."""
+    await c.close("main", linger=0.0)
+    with pytest.raises(RoundTimeout):
+        await c.receive((1,), deadline=1.0)
+
+
+def test_a_channel_on_which_a_caller_waits_is_neither_replaced_nor_removed():
+    async def agent(c: Communicator) -> None:
+        c.open("main")
+        async with asyncio.TaskGroup() as group:
+            group.create_task(wait_after_the_end(c))
+            await c.port.bus.clock.sleep(0.5)
+            with pytest.raises(ConfigError, match="joinable"):
+                c.open("main", joinable=True)
+            for n in range(CHANNEL_LIMITS.most_open - 1):
+                c.open(f"channel {n}")
+            with pytest.raises(ConfigError, match="channels at once"):
+                c.open("one more")
+
+    swarm(graphs.path(2), agent, gone=(1,))
+
+
+@pytest.mark.parametrize("lost", [7, 10, 60])
+def test_a_sender_keeps_messages_that_were_not_yet_requested(lost):
     """The reader's credit is lost, and so is one message; it asks for it when the sender is ten rounds on."""
     graph = Graph.from_edges(2, [[0, 1]], directed=True)
 
@@ -328,7 +354,9 @@ def test_a_sender_keeps_messages_that_were_not_yet_requested():
         send = c.port.send
         if c.id == 0:
             c.port.send = lambda message, to, *attempt: (  # type: ignore[method-assign]
-                send(message, to, *attempt) if message.number != 60 or attempt else None
+                send(message, to, *attempt)
+                if message.number != lost or attempt
+                else None
             )
             for k in range(ROUND_WINDOW.kept_rounds + 6):
                 await c.send(k)

@@ -19,7 +19,12 @@ from crazychoir.bus.frames import FRAME_FORMAT
 from crazychoir.bus.network import local_address, local_connection, local_sockets
 from crazychoir.bus.network.link_counters import LinkCounters
 from crazychoir.bus.network.local_address import LocalAddress, LocalIdentity
-from crazychoir.bus.network.local_connection import CONNECTION_SIZES
+from crazychoir.bus.network.local_connection import (
+    CONNECTION_SIZES,
+    LAST_PIECE_MARK,
+    PACKET_HEAD,
+    PIECE_MARK,
+)
 from crazychoir.bus.network.local_sockets import MOST_STRANGERS, LocalSockets
 from crazychoir.bus.topics import MessageClass
 from crazychoir.files.user_folders import RUNTIME_VARIABLE
@@ -405,7 +410,17 @@ async def test_a_frame_ages_while_its_reader_is_busy(ends, size):
     assert 0.1 <= b.waits[0] < 1.0
 
 
-@pytest.mark.parametrize("packet", [b"\x00", b"\xf0", b"\xf1123", b"\xf2again"])
+@pytest.mark.parametrize(
+    "packet",
+    [
+        b"\x00",
+        b"\xf0",
+        b"\xf1123",
+        PACKET_HEAD.pack(0xF2, 0, 0) + b"another mark",
+        PACKET_HEAD.pack(LAST_PIECE_MARK, 0, 0),
+        PACKET_HEAD.pack(PIECE_MARK, 0, 0),
+    ],
+)
 async def test_packets_that_are_no_frames_are_counted(ends, packet):
     a, b = ends("a"), ends("b")
     await connect(a, b)
@@ -414,6 +429,21 @@ async def test_packets_that_are_no_frames_are_counted(ends, packet):
     await until(lambda: b.frames)
     assert b.frames == [("a", VERSION)]
     assert b.counters.malformed == 1
+
+
+async def test_a_whole_frame_amid_pieces_ends_their_frame(ends):
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    for mark, start, content in (
+        (PIECE_MARK, 0, b"abc"),
+        (LAST_PIECE_MARK, 0, VERSION),
+        (LAST_PIECE_MARK, 3, b"def"),
+        (LAST_PIECE_MARK, 0, VERSION),
+    ):
+        packet = PACKET_HEAD.pack(mark, start, 0) + content
+        a.sockets.connections["b"].socket.send(packet)
+    await until(lambda: len(b.frames) == 2)
+    assert b.frames == [("a", VERSION)] * 2
 
 
 @pytest.mark.skipif(os.getuid() != 0, reason="only root can act as another user")
@@ -489,7 +519,7 @@ async def test_pieces_without_end_take_no_memory(ends):
         await asyncio.to_thread(raw.send, head + piece)
     raw.setblocking(False)
     a.send("b", VERSION)
-    held = b.sockets.connections["a"]._pieces
+    held = b.sockets.connections["a"].pieces
     assert len(held) <= FRAME_FORMAT.max_bytes + len(piece)
     await until(lambda: b.frames)
 
