@@ -8,7 +8,7 @@ clockwise. The drones lie in the blocks of `lanes`.
 import math
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.numerics.math3d import STANDARD_GRAVITY, clip, dot, rotation_columns
+from crazychoir.numerics.math3d import STANDARD_GRAVITY, dot, rotation_columns
 from crazychoir.types import Vec
 
 # isort: off
@@ -105,12 +105,15 @@ def set_goal_thrusts(m: Vec) -> None:
 
         f_c = min(u f_max, f(vbat)),  0 if u f_max < f_min or the motors are cut
 
-    A goal below the least thrust is 0, and no goal exceeds what the battery gives. The firmware
-    divides its voltage by the battery's, so the thrust is as commanded until the duty cycle is 1.
+    f_max: N: thrust of the command 1, not the greatest thrust
+    f(vbat): N: thrust at full duty cycle, the only upper limit of a motor
+    f_min: N: a motor stops below this thrust
+    The firmware divides its voltage by the battery's, so the thrust is as commanded until the duty
+    cycle is 1.
     """
     for k in range(LANE_COUNT):
         for n in range(0, 4 * LANE_COUNT, LANE_COUNT):
-            f = clip(m[MOTOR_COMMAND_1 + n + k], 0.0, 1.0) * m[LARGEST_THRUST + k]
+            f = m[MOTOR_COMMAND_1 + n + k] * m[LARGEST_THRUST + k]
             f = 0.0 if f < m[SMALLEST_THRUST + k] else f
             m[GOAL_THRUST_1 + n + k] = (
                 min(f, m[THRUST_CEILING + k]) * m[MOTOR_ALIVE_1 + n + k]

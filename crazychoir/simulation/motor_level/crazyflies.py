@@ -302,6 +302,7 @@ class CrazyflieWorld(MotorWorld):
         """Drones with a number that is not finite, and where it was found; they cannot recover."""
         parts = {
             "the requests to its motors": self._firmware["request"],
+            "the PWM ratios of its motors": self._firmware["ratio"],
             "the commands of its motors": self._firmware["motors"],
             "the state of its body": self.states,
         }

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import clip
 from crazychoir.platforms import Platform
 from crazychoir.types import Mat, Vec
 
@@ -249,7 +250,7 @@ def load_block(
     """Copy states, motor commands and external forces of the drones into their block.
 
     A command that is not finite is ignored, so the one before stays. A command outside 0..1 is
-    counted in `limited`.
+    limited, and counted in `limited`.
     first: row of the first drone of the block
     x: (N, 13): states
     commands: (N, 4): shares of the greatest thrust
@@ -268,7 +269,9 @@ def load_block(
             u = commands[i, c]
             beyond = beyond if 0.0 <= u <= 1.0 else 1.0
             m[MOTOR_COMMAND_1 + c * LANE_COUNT + k] = (
-                u if math.isfinite(u) else m[MOTOR_COMMAND_1 + c * LANE_COUNT + k]
+                clip(u, 0.0, 1.0)
+                if math.isfinite(u)
+                else m[MOTOR_COMMAND_1 + c * LANE_COUNT + k]
             )
         for c in range(3):
             m[EXTERNAL_FORCE_X + c * LANE_COUNT + k] = force[i, c]

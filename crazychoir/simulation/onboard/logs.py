@@ -9,7 +9,6 @@ from crazychoir.errors import ConfigError
 from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.simulation.onboard import supervisor
 from crazychoir.simulation.onboard.record import EntryPoints, Fleet
-from crazychoir.simulation.onboard.units import FULL_THRUST_COMMAND
 
 FleetReader = Callable[[Fleet, int], float]
 
@@ -34,9 +33,10 @@ def _int16_reader(name: str, factor: float = 1.0) -> FleetReader:
     )
 
 
-def _motor_reader(k: int) -> FleetReader:
+def _motor_reader(name: str, k: int) -> FleetReader:
+    """Return a reader of a field of motor k, as a 32-bit integer."""
     return lambda rows, i: float(
-        truncate_to_range(float(rows["request"][i, k]), 0.0, FULL_THRUST_COMMAND)
+        truncate_to_range(float(rows[name][i, k]), -(2.0**31), 2.0**31 - 1.0)
     )
 
 
@@ -136,8 +136,8 @@ FIRMWARE_LOG_READERS: dict[str, FleetReader] = {
     "controller.cmd_thrust": _field_reader("thrust"),
     **{f"ctrltarget.{n}": _target_reader(n) for n in LOG_FIELDS.target},
     **{f"ctrltarget.mode_{n}": _target_reader(f"mode_{n}") for n in LOG_FIELDS.modes},
-    **{f"motor.m{k + 1}": _motor_reader(k) for k in range(4)},
-    **{f"motor.m{k + 1}req": _motor_reader(k) for k in range(4)},
+    **{f"motor.m{k + 1}": _motor_reader("ratio", k) for k in range(4)},
+    **{f"motor.m{k + 1}req": _motor_reader("uncapped_ratio", k) for k in range(4)},
     "pm.vbat": _field_reader("vbat"),
     "pm.vbatMV": _int16_reader("vbat", 1000.0),
     "supervisor.info": lambda rows, i: float(_supervisor.information(rows, i)),

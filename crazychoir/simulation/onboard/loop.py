@@ -94,7 +94,7 @@ def _weigh(fw: Record, ax: float, ay: float, az: float) -> None:
 
     The samples are taken some time after power-on, while the drone stands with its motors off.
     """
-    m = fw.request
+    m = fw.ratio
     if (
         fw.tick < SENSOR_SETTINGS.calibration_start
         or max(max(m[0], m[1]), max(m[2], m[3])) > fw.idle
@@ -138,7 +138,7 @@ def _run_controller(fw: Record) -> None:
         lee.control(fw, sp)
     else:
         fw.law_due = 1
-    mixing.distribute(fw, supervisor.may_fly(fw))
+    mixing.drive_motors(fw, supervisor.may_fly(fw))
 
 
 @kernel()
@@ -172,7 +172,7 @@ def stabilize(
             if tick % TASK_PERIODS.supervisor == 0:
                 supervisor.update(fw)
         _run_controller(fw)
-        mixing.compensate(fw)
+        mixing.compute_shares(fw)
     fw.tick = tick + 1
 
 

@@ -158,7 +158,8 @@ drone_fields = np.dtype(
     [
         ("tick", np.int64),  # ms
         # written and read by the simulation
-        ("motors", np.float64, (4,)),  # share of firmware.thrust_max
+        # shares of firmware.thrust_max that the motors give, above 1 as well
+        ("motors", np.float64, (4,)),
         ("vbat", np.float64),  # V
         # sensors
         ("delays", np.float64, (12,)),  # memory of the low-pass filters
@@ -209,11 +210,16 @@ drone_fields = np.dtype(
         *_real_fields("force torque_x torque_y torque_z"),  # N, N m
         ("law_motors", np.float64, (4,)),  # 0..65535, output of a user's law
         # power distribution
-        ("request", np.float64, (4,)),  # 0..65535
-        ("volts", np.float64, (4,)),
+        # thrust of each motor, 65535 = thrust_max; integers without a limit
+        ("request", np.float64, (4,)),
+        ("volts", np.float64, (4,)),  # V of each motor for its request
+        # PWM ratio of each motor for its request; integers without an upper limit
+        ("uncapped_ratio", np.float64, (4,)),
+        ("ratio", np.float64, (4,)),  # PWM ratio of each motor, 0..65535
         # motorPowerSet.enable: 1 sets each motor by its own power, 2 sets all motors by power_1
         ("power_set", np.int64),
-        *_real_fields("power_1 power_2 power_3 power_4"),  # 0..65535
+        # PWM ratios, 0..65535
+        *_real_fields("power_1 power_2 power_3 power_4"),
         *_real_fields(
             "vbat_low idle thrust_max thrust_min arm torque_ratio c0 c1 c2 c3"
         ),

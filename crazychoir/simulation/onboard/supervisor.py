@@ -107,7 +107,7 @@ def _see_tumbling(fw: Record) -> None:
 @kernel()
 def _see_flying(fw: Record) -> None:
     """Detect flight: a motor was above idle in the last 2 s."""
-    m = fw.request
+    m = fw.ratio
     if max(max(m[0], m[1]), max(m[2], m[3])) > fw.idle:
         fw.stopping_at = fw.tick
     fw.flying = 1 if fw.tick - fw.stopping_at < SUPERVISOR_LIMITS.resting_time else 0

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from crazychoir.simulation.motor_level.air import Wind
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.motor_level.motors import MotorConditions
 from crazychoir.simulation.onboard.laws import MotorForces
-from crazychoir.types import Pose
+from crazychoir.types import FPQR, Pose
 
 
 def posed(world, ticks):
@@ -53,6 +54,73 @@ def test_it_takes_off_from_a_tilted_floor_hovers_in_wind_and_lands(platform):
         [math.sin(tilt), 0, math.cos(tilt)],
         atol=1e-6,
     )
+
+
+def stream(world, seconds, send):
+    """Send a set-point each 0.1 s; return the positions."""
+    path = []
+    for k in range(round(100 * seconds)):
+        if k % 10 == 0:
+            send(world.onboard[1].setpoints)
+        posed(world, 1)
+        path.append(world.states[0, :3].copy())
+    return np.array(path)
+
+
+WEAK_MOTORS = replace(
+    CRAZYFLIE_21, rotor=replace(CRAZYFLIE_21.rotor, voltage=(0.12, 0.0, 0.0, 0.0))
+)
+"""A plant with motors that give 0.12 N and no more, at any voltage."""
+
+
+@pytest.mark.parametrize("body", [CRAZYFLIE_21, WEAK_MOTORS])
+def test_a_diagonal_position_setpoint_takes_off_from_the_floor(body):
+    """The firmware is at (0.26, 0.25, 0.74) m after 1.5 s, on both plants."""
+    world = CrazyflieWorld([1], np.zeros((1, 3)), bodies=[body])
+    posed(world, 100)
+    path = stream(world, 1.5, lambda to: to.position((0.3, 0.3, 0.7), 0.0))
+    np.testing.assert_allclose(path[-1], [0.26, 0.25, 0.74], atol=0.05)
+
+
+@pytest.mark.parametrize(
+    ("body", "lowest"), [(CRAZYFLIE_21, 0.393), (WEAK_MOTORS, 0.335)]
+)
+def test_a_turning_drone_loses_little_height_in_a_diagonal_step(body, lowest):
+    """The firmware comes down to 0.393 m in such a step.
+
+    Our plant has no limit of 0.12 N a motor: at full duty cycle its motors give what its battery
+    allows, about twice as much.
+    """
+    world = CrazyflieWorld([1], np.zeros((1, 3)), bodies=[body])
+    posed(world, 100)
+    world.onboard[1].planner.take_off(0.85, 2.0)
+    posed(world, 500)
+    stream(world, 1.5, lambda to: to.velocity((0.0, 0.0, 0.0), 1.5))
+    x, y, _ = world.states[0, :3] + 1.1 * math.sqrt(0.5)
+    path = stream(world, 4.0, lambda to: to.position((x, y, 0.5), 0.0))
+    assert path[:, 2].min() == pytest.approx(lowest, abs=0.04)
+
+
+def test_logs_of_the_motors_are_pwm_after_compensation_of_the_battery():
+    """The firmware hovers at 40 800 of 65 535 with a full battery under load."""
+    world = CrazyflieWorld([1], np.zeros((1, 3)))
+    posed(world, 100)
+    world.onboard[1].planner.take_off(0.5, 1.0)
+    posed(world, 800)
+    ratios = [world.log(1, f"motor.m{k}") for k in (1, 2, 3, 4)]
+    assert ratios == pytest.approx([40_800] * 4, rel=0.02)
+    assert ratios == [world.log(1, f"motor.m{k}req") for k in (1, 2, 3, 4)]
+    world.charge_to(1, 0.03)
+    posed(world, 50)
+    world.link(1).send(FPQR(np.array([0.48, 20.0, 20.0, 10.0])))
+    requests = []
+    for _ in range(5):
+        world.step()
+        ratios = [world.log(1, f"motor.m{k}") for k in (1, 2, 3, 4)]
+        assert min(ratios) >= 0.0
+        assert max(ratios) <= 65535.0
+        requests += [world.log(1, f"motor.m{k}req") for k in (1, 2, 3, 4)]
+    assert max(requests) > 65535.0
 
 
 def test_a_drone_flies_the_same_alone_and_among_others():
