@@ -145,7 +145,7 @@ def tilted():
 
 OVERSHOOT = 0.05
 """m above the height of the take-off."""
-DRIFT = {"fpqr": 0.02, "frpy": 0.02, "vel": 0.09, "xyz": 0.09, "fullstate": 0.09}
+DRIFT = {"fpqr": 0.02, "frpy": 0.02, "vel": 0.12, "xyz": 0.12, "fullstate": 0.12}
 """m from where it stood."""
 
 
@@ -153,7 +153,7 @@ DRIFT = {"fpqr": 0.02, "frpy": 0.02, "vel": 0.09, "xyz": 0.09, "fullstate": 0.09
 def test_a_take_off_from_a_tilted_floor_goes_straight_up_without_much_overshoot(
     tilted, row
 ):
-    """Measured: overshoot fpqr 3 mm, frpy 7 mm, vel 22 mm, xyz 43 mm; drift 13 mm, with vel and xyz up to 75 mm.
+    """Measured: overshoot fpqr 3 mm, frpy 7 mm, vel 22 mm, xyz 43 mm; drift 13 mm, with vel and xyz up to 110 mm.
 
     As soon as motors turn, the firmware's estimate knows of no force but theirs. The force of the floor is still there,
     and moves a drone that flies by the estimate.

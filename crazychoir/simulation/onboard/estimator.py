@@ -102,13 +102,13 @@ def collect_samples(fw: Record) -> None:
 
 @kernel()
 def _grow_covariance(
-    pp: float, pv: float, vv: float, noise: float, dt: float
+    pp: float, pv: float, vv: float, noise: float, samples: int
 ) -> tuple[float, float, float]:
-    q = (noise * dt) ** 2
+    dt = samples * TICK_SECONDS
     return (
-        pp + dt * (2.0 * pv + dt * vv) + 0.25 * q * dt * dt,
-        pv + dt * vv + 0.5 * q * dt,
-        vv + q,
+        pp + dt * (2.0 * pv + dt * vv),
+        pv + dt * vv,
+        vv + samples * (noise * TICK_SECONDS) ** 2,
     )
 
 
@@ -126,11 +126,12 @@ def predict(fw: Record) -> None:
     """Predict the state from the sums since the last prediction or correction.
 
         q <- q exp(w dt),  a = R f - g e3,  p <- p + v dt + a dt^2 / 2,  v <- v + a dt
-        P <- A P A^T + Q,  A = [1 dt; 0 1],  Q = n^2 [dt^4/4 dt^3/2; dt^3/2 dt^2]
-        P_att <- P_att + (n_gyro dt)^2
+        P <- A P A^T + Q,  A = [1 dt; 0 1],  Q = k [0 0; 0 (n 1 ms)^2],  dt = k 1 ms
+        P_att <- P_att + k (n_gyro 1 ms)^2
 
     f: m/s2, body: specific force, turned by the attitude at the middle of the interval
     n: m/s2: noise of the acceleration
+    k: number of samples; the firmware adds its noise each ms (estimator_kalman.c)
     In flight the rotors push along the body's z axis only, so only the z component of f is used:
     the accelerometer's bias across would count as much as drag.
     """
@@ -159,12 +160,12 @@ def predict(fw: Record) -> None:
     fw.vy += dt * fw.acy
     fw.vz += dt * fw.acz
     fw.xy_pp, fw.xy_pv, fw.xy_vv = _grow_covariance(
-        fw.xy_pp, fw.xy_pv, fw.xy_vv, fw.noise_xy, dt
+        fw.xy_pp, fw.xy_pv, fw.xy_vv, fw.noise_xy, fw.samples
     )
     fw.z_pp, fw.z_pv, fw.z_vv = _grow_covariance(
-        fw.z_pp, fw.z_pv, fw.z_vv, fw.noise_z, dt
+        fw.z_pp, fw.z_pv, fw.z_vv, fw.noise_z, fw.samples
     )
-    fw.att_var += (fw.noise_gyro * dt) ** 2
+    fw.att_var += fw.samples * (fw.noise_gyro * TICK_SECONDS) ** 2
     _clear_sums(fw)
     _update_angles(fw)
     if _is_lost(fw):
