@@ -250,12 +250,13 @@ class BoardPlanner:
     ) -> int:
         """Start to fly a spiral through an angle about a point.
 
-        angle: rad
-        r0: m: radius at the beginning
-        r1: m: radius at the end
+        angle: rad, limited to a turn; a negative angle is flown backwards
+        r0: m: radius at the beginning, at least 0
+        r1: m: radius at the end, at least 0
         climb: m: change of the height
         duration: s
-        sideways: True if the point lies ahead, False if it lies to the side
+        sideways: True if the point lies ahead of a clockwise spiral and behind another, False if
+            it lies to the side
         clockwise: True to turn clockwise
         """
         refused = self._flight(angle, r0, r1, climb, duration)
@@ -274,7 +275,12 @@ class BoardPlanner:
         relative_yaw: bool = False,
         reverse: bool = False,
     ) -> int:
-        """Start to fly an uploaded trajectory; a timescale of 2 takes twice the time."""
+        """Start to fly an uploaded trajectory; a timescale of 2 takes twice the time.
+
+        relative: True to shift it to the present set-point
+        relative_yaw: True to turn a relative trajectory, about the origin of its coordinates, to
+            the present heading
+        """
         refused = self._flight(timescale) or self._trajectories.unpack(
             slot, timescale, reverse
         )

@@ -9,7 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel, real
-from crazychoir.numerics.math3d import STANDARD_GRAVITY, Triple, dot, flat_attitude
+from crazychoir.numerics.math3d import (
+    STANDARD_GRAVITY,
+    Triple,
+    clip,
+    dot,
+    flat_attitude,
+)
 from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES, clear_setpoint
 from crazychoir.simulation.onboard.polynomial import (
     POLYNOMIAL_LAYOUT,
@@ -166,7 +172,11 @@ def _scale_derivatives(fw: Record, moving: bool) -> None:
 
 @kernel()
 def _move_to_start(fw: Record) -> None:
-    """Move the point from the trajectory's own start to its start in flight: turn about z, shift."""
+    """Turn the point about the z axis of the trajectory's own coordinates, and shift it.
+
+    As in the firmware, a trajectory that turns starts at the present place only if its own start
+    is at the origin.
+    """
     plan = fw.planner
     out = plan.out
     turn = plan.shift[3] - plan.origin[3]
@@ -175,14 +185,10 @@ def _move_to_start(fw: Record) -> None:
     for order in range(0, 16, 4):
         x = out[order]
         y = out[order + 1]
-        if order == POLYNOMIAL_LAYOUT.position:
-            x = x - plan.origin[0]
-            y = y - plan.origin[1]
         out[order] = c * x - s * y
         out[order + 1] = s * x + c * y
-    out[0] += plan.shift[0]
-    out[1] += plan.shift[1]
-    out[2] += plan.shift[2] - plan.origin[2]
+    for axis in range(3):
+        out[axis] += plan.shift[axis] - plan.origin[axis]
     out[3] += turn
 
 
@@ -190,7 +196,7 @@ def _move_to_start(fw: Record) -> None:
 def sample_plan(fw: Record) -> bool:
     """Write the flat output at this moment to planner.out; return False if the plan has ended.
 
-        x(t) = S + Rz(Y) (c(s) - c(s_0)),   v = dx/dt,   a = dv/dt
+        x(t) = S - c(s_0) + Rz(Y) c(s),   v = dx/dt,   a = dv/dt
         s = (t - t0) / k;  if the plan is reversed, s = (duration of c) - (t - t0) / k
 
     c: the polynomials of the plan
@@ -588,21 +594,25 @@ def spiral(
 
     and the heading turns with it. In between, the piece is not a circle; it is meant for angles up
     to half a turn.
-    angle: rad
-    r0: m: radius at the beginning
-    r1: m: radius at the end
+    angle: rad, limited to a turn; a negative angle is flown backwards
+    r0: m: radius at the beginning, at least 0
+    r1: m: radius at the end, at least 0
     climb: m: change of the height
     t: s
-    sideways: above 0 if the point lies ahead, else it lies to the side
+    sideways: above 0 if the point lies ahead of a clockwise spiral and behind another; else it
+        lies to the right of a clockwise spiral and to the left of another
     clockwise: above 0 to turn clockwise
     """
     fw = fleet[i]
     _evaluate_present_point(fw)
     out = fw.planner.out
     piece = np.zeros(TRAJECTORY_MEMORY.piece_size, np.float32)
-    turn = -abs(angle) if clockwise > 0.0 else abs(angle)
+    side = -1.0 if clockwise > 0.0 else 1.0
+    turn = side * clip(angle, -2.0 * math.pi, 2.0 * math.pi)
+    r0 = max(r0, 0.0)
+    r1 = max(r1, 0.0)
     yaw = float(out[POLYNOMIAL_LAYOUT.position + 3])
-    towards = yaw if sideways > 0.0 else yaw + math.copysign(0.5 * math.pi, turn)
+    towards = yaw + 0.5 * math.pi * (1.0 + side if sideways > 0.0 else side)
     cx = float(out[POLYNOMIAL_LAYOUT.position]) + r0 * math.cos(towards)
     cy = float(out[POLYNOMIAL_LAYOUT.position + 1]) + r0 * math.sin(towards)
     begin = towards + math.pi
@@ -670,12 +680,12 @@ def start_trajectory(
 ) -> int:
     """Fly an uploaded trajectory; return an answer of PLANNER_ANSWERS, 8 if there is none.
 
-    Choices of this model: it returns 1 if no drone can follow the trajectory, and turns a relative
-    trajectory about its start.
+    Choice of this model: it returns 1 if no drone can follow the trajectory.
     slot: number of the trajectory
     timescale: factor on the duration; 2 takes twice the time
     relative: above 0 to shift the start to the present set-point
-    relative_yaw: above 0 to turn the start to the present heading
+    relative_yaw: above 0 to turn a relative trajectory to the present heading; it turns about the
+        origin of its own coordinates
     backwards: above 0 to fly from the end to the start
     """
     fw = fleet[i]
@@ -698,9 +708,9 @@ def start_trajectory(
     plan.reversed = 1 if backwards > 0.0 else 0
     _evaluate_at(fw, _sum_durations(fw) if plan.reversed else SINGLE_NUMBERS.zero)
     for axis in range(POLYNOMIAL_LAYOUT.axis_count):
-        moved = relative_yaw if axis == 3 else relative
         plan.origin[axis] = plan.out[POLYNOMIAL_LAYOUT.position + axis]
-        plan.shift[axis] = here[axis] if moved > 0.0 else plan.origin[axis]
-    if relative_yaw > 0.0:
+        moved = relative > 0.0 and axis < 3
+        plan.shift[axis] = here[axis] if moved else plan.origin[axis]
+    if relative > 0.0 and relative_yaw > 0.0:
         plan.shift[3] = unwrap_angle(plan.origin[3], here[3])
     return PLANNER_ANSWERS.done

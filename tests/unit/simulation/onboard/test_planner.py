@@ -202,6 +202,11 @@ RAMP = pieces(
 )
 
 
+def target_of_ramp(t):
+    """The place (2,) m of RAMP in its own coordinates."""
+    return np.array([1 + 0.5 * t + 0.2 * max(t - 1.0, 0.0) ** 2, 0.0])
+
+
 def test_a_trajectory_runs_through_its_pieces_and_holds_its_end(onboard):
     onboard.trajectories.upload(3, RAMP)
     assert risen(onboard).planner.start_trajectory(3) == 0
@@ -236,19 +241,36 @@ def test_a_time_scale_slows_and_a_reversed_one_returns(onboard):
         assert v[0] == pytest.approx(-(0.5 + 0.4 * u), abs=1e-4)
 
 
-def test_a_relative_trajectory_starts_here_and_turns_with_the_heading(onboard):
+def test_a_relative_trajectory_starts_here(onboard):
     onboard.trajectories.upload(0, RAMP)
     risen(onboard).planner.start_trajectory(0, relative=True)
     run(onboard, 1010)
     assert target(onboard) == pytest.approx([0.9, -0.3, 1.0], abs=1e-4)
     assert math.radians(target(onboard, "yaw")[0]) == pytest.approx(0.1, abs=1e-5)
-    onboard.planner.go_to((0.4, -0.3, 1.0), 0.5, 0.0)
+
+
+def test_a_trajectory_with_relative_yaw_turns_about_its_own_origin(onboard):
+    """As in the firmware: one that does not begin at its origin jumps."""
+    onboard.trajectories.upload(0, RAMP)
+    risen(onboard).planner.go_to((0.4, -0.3, 1.0), 0.5, 0.0)
     run(onboard, 10)
     onboard.planner.start_trajectory(0, relative=True, relative_yaw=True)
     run(onboard, 1010)
-    step = 0.5 * np.array([math.cos(0.4), math.sin(0.4)])
-    assert target(onboard)[:2] == pytest.approx(np.array([0.4, -0.3]) + step, abs=1e-4)
+    begin, end = target_of_ramp(0.0), target_of_ramp(1.0)
+    c, s = math.cos(0.4), math.sin(0.4)  # from 0.1 rad of the ramp to 0.5 rad
+    turned = np.array([[c, -s], [s, c]]) @ end
+    assert target(onboard)[:2] == pytest.approx(
+        np.array([0.4, -0.3]) - begin + turned, abs=1e-4
+    )
     assert math.radians(target(onboard, "yaw")[0]) == pytest.approx(0.5, abs=1e-5)
+
+
+def test_relative_yaw_counts_for_relative_trajectories_alone(onboard):
+    onboard.trajectories.upload(0, RAMP)
+    risen(onboard).planner.start_trajectory(0, relative_yaw=True)
+    run(onboard, 1010)
+    assert target(onboard)[:2] == pytest.approx(target_of_ramp(1.0), abs=1e-4)
+    assert math.radians(target(onboard, "yaw")[0]) == pytest.approx(0.1, abs=1e-5)
 
 
 def test_slots_memory_and_their_codes(onboard):
@@ -315,6 +337,38 @@ def test_a_spiral_ends_on_its_radius_at_its_angle(onboard, clockwise, side):
     assert start @ nose == pytest.approx(
         0.5 * math.pi / 2 / 3, rel=0.1
     )  # forward, along the circle
+
+
+@pytest.mark.parametrize("clockwise", [False, True])
+@pytest.mark.parametrize("sideways", [False, True])
+@pytest.mark.parametrize("angle", [1.2, -1.2, 9.0])
+def test_a_spiral_turns_about_the_firmwares_point(onboard, sideways, clockwise, angle):
+    """The sense alone chooses the point: +1 clockwise, -1 the other way round.
+
+    sideways: p + sense r0 (cos yaw, sin yaw), else p + sense r0 (sin yaw, -cos yaw);
+    the heading turns by -sense angle, at most by a turn.
+    """
+    risen(onboard)
+    flags = {"sideways": sideways, "clockwise": clockwise}
+    assert onboard.planner.spiral(angle, 0.5, 0.7, 0.0, 3.0, **flags) == 0
+    run(onboard, 3100)
+    sense = 1.0 if clockwise else -1.0
+    nose = np.array([math.cos(0.5), math.sin(0.5)])
+    right = np.array([math.sin(0.5), -math.cos(0.5)])
+    centre = np.array(PLACE[:2]) + sense * 0.5 * (nose if sideways else right)
+    turn = -sense * min(angle, 2 * math.pi)
+    c, s = math.cos(turn), math.sin(turn)
+    out = np.array([[c, -s], [s, c]]) @ (np.array(PLACE[:2]) - centre) / 0.5
+    assert target(onboard)[:2] == pytest.approx(centre + 0.7 * out, abs=1e-3)
+    yaw = math.radians(target(onboard, "yaw")[0])
+    assert math.remainder(yaw - 0.5 - turn, 2 * math.pi) == pytest.approx(0, abs=1e-4)
+
+
+def test_a_negative_radius_is_none(onboard):
+    risen(onboard)
+    assert onboard.planner.spiral(1.0, -0.5, -0.7, 0.0, 3.0) == 0
+    run(onboard, 3100)
+    assert target(onboard)[:2] == pytest.approx(PLACE[:2], abs=1e-4)
 
 
 LONG, SHORT = (2e5, 1e30, 1e300), (1e-16, 1e-7, 5e-4)
