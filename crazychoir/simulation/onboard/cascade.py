@@ -60,31 +60,26 @@ def encode_modes(sp: Record) -> int:
 
 
 @kernel()
-def _reset_attitude(fw: Record) -> None:
-    pid.reset(fw.roll_pid)
-    pid.reset(fw.pitch_pid)
-    pid.reset(fw.yaw_pid)
-    pid.reset(fw.roll_rate_pid)
-    pid.reset(fw.pitch_rate_pid)
-    pid.reset(fw.yaw_rate_pid)
-
-
-@kernel()
-def _reset_position(fw: Record) -> None:
-    pid.reset(fw.x_pid)
-    pid.reset(fw.y_pid)
-    pid.reset(fw.z_pid)
-    pid.reset(fw.vx_pid)
-    pid.reset(fw.vy_pid)
-    pid.reset(fw.vz_pid)
-
-
-@kernel()
 def reset(fw: Record) -> None:
-    """Reset all PIDs; the heading to hold is the present one."""
-    _reset_attitude(fw)
-    _reset_position(fw)
-    fw.target_yaw = fw.yaw
+    """Reset all PIDs; the wanted roll and pitch are the present ones, the wanted yaw stays.
+
+    As in the firmware, the derivatives of rates and velocities are taken from 0 afterwards: while
+    the drone turns, the next pass gives the motors a kick.
+    """
+    pid.reset(fw.roll_pid, fw.roll)
+    pid.reset(fw.pitch_pid, fw.pitch)
+    pid.reset(fw.yaw_pid, fw.yaw)
+    pid.reset(fw.roll_rate_pid, 0.0)
+    pid.reset(fw.pitch_rate_pid, 0.0)
+    pid.reset(fw.yaw_rate_pid, 0.0)
+    pid.reset(fw.x_pid, fw.x)
+    pid.reset(fw.y_pid, fw.y)
+    pid.reset(fw.z_pid, fw.z)
+    pid.reset(fw.vx_pid, 0.0)
+    pid.reset(fw.vy_pid, 0.0)
+    pid.reset(fw.vz_pid, 0.0)
+    fw.target_roll = fw.roll
+    fw.target_pitch = fw.pitch
 
 
 @kernel()
@@ -167,29 +162,25 @@ def _update_heading(fw: Record, sp: Record) -> None:
             yaw = fw.yaw + clip(ahead, -fw.yaw_max_delta, fw.yaw_max_delta)
         fw.target_yaw = pid.wrap_degrees(yaw)
     elif sp.mode_yaw == AXIS_MODES.absolute or sp.mode_quat == AXIS_MODES.absolute:
-        fw.target_yaw = sp.yaw
+        fw.target_yaw = pid.wrap_degrees(sp.yaw)
 
 
 @kernel()
 def _run_attitude_pids(fw: Record, sp: Record) -> None:
     """Run the attitude PIDs, which give rates; an axis in rate mode takes the set-point's rate."""
-    if sp.mode_roll == AXIS_MODES.velocity:
-        fw.target_roll_rate = sp.roll_rate
-        pid.reset(fw.roll_pid)
-    else:
-        fw.target_roll_rate = pid.follow(
-            fw.roll_pid, fw.target_roll, fw.roll, CASCADE_SETTINGS.attitude_rate
-        )
-    if sp.mode_pitch == AXIS_MODES.velocity:
-        fw.target_pitch_rate = sp.pitch_rate
-        pid.reset(fw.pitch_pid)
-    else:
-        fw.target_pitch_rate = pid.follow(
-            fw.pitch_pid, fw.target_pitch, fw.pitch, CASCADE_SETTINGS.attitude_rate
-        )
+    fw.target_roll_rate = pid.follow(
+        fw.roll_pid, fw.target_roll, fw.roll, CASCADE_SETTINGS.attitude_rate
+    )
+    fw.target_pitch_rate = pid.follow(
+        fw.pitch_pid, fw.target_pitch, fw.pitch, CASCADE_SETTINGS.attitude_rate
+    )
     fw.target_yaw_rate = pid.follow_angle(
         fw.yaw_pid, fw.target_yaw, fw.yaw, CASCADE_SETTINGS.attitude_rate
     )
+    if sp.mode_roll == AXIS_MODES.velocity:
+        fw.target_roll_rate = sp.roll_rate
+    if sp.mode_pitch == AXIS_MODES.velocity:
+        fw.target_pitch_rate = sp.pitch_rate
 
 
 @kernel()
@@ -202,31 +193,34 @@ def _truncate_to_int16(value: float) -> float:
 def control(fw: Record, sp: Record) -> None:
     """Make one pass at 500 Hz: write thrust 0..65535 and roll, pitch, yaw -32767..32767.
 
-    A change of any mode, or no thrust, resets all PIDs.
-    Choice of this model: the position part runs at once after a change of mode.
+    A change of any mode, or no thrust, resets all PIDs. Between two passes of the position part,
+    thrust, roll and pitch stay as they are. Without thrust, the heading to hold is the present one.
+    Source of the order: crazyflie-firmware, controller_pid.c.
     """
     key = encode_modes(sp)
-    changed = key != fw.modes
-    if changed:
+    if key != fw.modes:
         fw.modes = key
         reset(fw)
+    _update_heading(fw, sp)
     positioned = (
         sp.mode_x != AXIS_MODES.disabled
         or sp.mode_y != AXIS_MODES.disabled
         or sp.mode_z != AXIS_MODES.disabled
     )
-    if positioned and (changed or fw.tick % CASCADE_SETTINGS.position_ticks == 0):
+    if positioned and fw.tick % CASCADE_SETTINGS.position_ticks == 0:
         run_position_pids(fw, sp)
+    if sp.mode_z == AXIS_MODES.disabled:
+        fw.position_thrust = sp.thrust
     if sp.mode_x == AXIS_MODES.disabled or sp.mode_y == AXIS_MODES.disabled:
         fw.target_roll = sp.roll
         fw.target_pitch = sp.pitch
     fw.output = OUTPUT_KINDS.legacy
-    fw.thrust = sp.thrust if sp.mode_z == AXIS_MODES.disabled else fw.position_thrust
+    fw.thrust = fw.position_thrust
     if fw.thrust <= 0.0:
         fw.thrust = fw.roll_out = fw.pitch_out = fw.yaw_out = 0.0
         reset(fw)
+        fw.target_yaw = fw.yaw
         return
-    _update_heading(fw, sp)
     _run_attitude_pids(fw, sp)
     fw.roll_out = _truncate_to_int16(
         pid.follow(

@@ -47,10 +47,10 @@ def wrap_degrees(angle: float) -> float:
 
 
 @kernel()
-def reset(pid: Record) -> None:
-    """Reset the integral and the filter; the next measurement has no derivative."""
+def reset(pid: Record, measured: float) -> None:
+    """Reset the integral and the filter; the next derivative is taken from this measurement."""
     pid.integral = 0.0
-    pid.previous = math.nan
+    pid.previous = measured
     pid.d1 = 0.0
     pid.d2 = 0.0
 
@@ -69,8 +69,8 @@ def _sum_terms(
 
 @kernel()
 def _measure_change(pid: Record, measured: float) -> float:
-    """Return the change of the measurement since the last step; 0 after a reset."""
-    change = 0.0 if math.isnan(pid.previous) else measured - pid.previous
+    """Return the change of the measurement since the last step or reset."""
+    change: float = measured - pid.previous
     pid.previous = measured
     return change
 

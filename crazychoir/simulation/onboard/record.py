@@ -377,7 +377,6 @@ def make_fleet(n: int, platform: Platform) -> Fleet:
     for name, row in gains.items():
         pid = rows[f"{name}_pid"]
         pid["kp"], pid["ki"], pid["kd"], pid["i_limit"] = row
-        pid["previous"] = math.nan
     rows["vz_pid"]["limit"] = 32.767  # half of 65535, by the scale of 1000
     for defaults, part in ((MELLINGER_DEFAULTS, "mellinger"), (LEE_DEFAULTS, "lee")):
         for name, value in defaults.items():

@@ -36,7 +36,7 @@ def angle(rows, desired, measured, out, rate):
 
 def answers(law, desired, measured, rate=500.0, **values):
     rows = np.zeros(1, pid_fields)
-    rows["previous"] = math.nan
+    rows["previous"] = measured[0]
     for name, value in values.items():
         rows[name] = value
     out = np.zeros(len(desired))
@@ -166,7 +166,6 @@ def test_no_thrust_and_a_change_of_modes_reset_the_integrals():
     fw = onboard.record
     assert fw["vx_pid"]["integral"] > 0.0
     onboard.setpoints.velocity((0.0, 0.0, 0.0), 0.0)
-    fw["tick"] = 1  # no position pass now, but for the change
     control(onboard.rows)
     assert fw["vx_pid"]["integral"] == pytest.approx(0.0)
     fw["yaw_rate_pid"]["integral"] = 5.0
@@ -176,8 +175,52 @@ def test_no_thrust_and_a_change_of_modes_reset_the_integrals():
     assert fw["thrust"] == fw["roll_out"] == fw["pitch_out"] == fw["yaw_out"] == 0.0
 
 
+def test_a_change_of_modes_keeps_the_heading_to_hold():
+    """In the firmware only a pass without thrust takes the present heading."""
+    onboard = cascade_of(0.0)
+    onboard.setpoints.position((0.0, 0.0, 1.0), math.radians(-60.0))
+    control(onboard.rows)
+    onboard.setpoints.manual(0.3, 0.0, 0.0, 0.0)
+    control(onboard.rows)
+    assert onboard.record["target_yaw"] == pytest.approx(-60.0)
+    onboard.setpoints.stop_setpoint()
+    control(onboard.rows)
+    assert onboard.record["target_yaw"] == pytest.approx(0.0)
+
+
+def test_a_change_of_modes_kicks_a_turning_drone_for_one_pass():
+    """The firmware takes the derivative of the rates from 0: 2.5 * 14 deg/s * 500 Hz."""
+    onboard = cascade_of()
+    fw = onboard.record
+    fw["gx"] = 14.0
+    onboard.setpoints.manual(0.3, 0.0, 0.0, 0.0)
+    control(onboard.rows)
+    steady = -(250.0 * 14.0 + 500.0 * 14.0 / 500.0)
+    assert fw["roll_out"] == pytest.approx(steady - 17500.0, abs=1.0)
+    control(onboard.rows)
+    assert fw["roll_out"] == pytest.approx(steady - 500.0 * 14.0 / 500.0, abs=1.0)
+
+
+def test_the_position_part_runs_at_100_hz_alone():
+    """Until then the firmware keeps the thrust, and levels at the present angles."""
+    onboard = cascade_of()
+    fw = onboard.record
+    fw["tick"], fw["roll"], fw["pitch"] = 2, 3.0, -2.0
+    onboard.setpoints.manual(0.3, 0.0, 0.0, 0.0)
+    control(onboard.rows)
+    thrust = float(fw["thrust"])
+    onboard.setpoints.position((0.3, 0.0, 1.2), 0.0)
+    fw["tick"] = 4
+    control(onboard.rows)
+    assert (fw["thrust"], fw["target_roll"], fw["target_pitch"]) == (thrust, 3.0, -2.0)
+    fw["tick"] = 10
+    control(onboard.rows)
+    assert fw["thrust"] == pytest.approx(36000 + 1000 * (25 + 0.15) * 0.401)
+
+
 def test_a_yaw_rate_is_integrated_at_500_hz():
     onboard = cascade_of(3.0)
+    control(onboard.rows)  # without thrust
     onboard.setpoints.manual(0.3, 0.0, 0.0, math.radians(100.0))
     for _ in range(500):
         control(onboard.rows)
