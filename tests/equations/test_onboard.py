@@ -23,8 +23,9 @@ from crazychoir.simulation.onboard import (
 )
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import rows
+from crazychoir.simulation.onboard.units import FIRMWARE_GRAVITY
 
-UP = np.array([0.0, 0.0, STANDARD_GRAVITY])
+UP = np.array([0.0, 0.0, FIRMWARE_GRAVITY])
 singles = numba.float32[::1]
 
 
@@ -248,7 +249,7 @@ def test_a_prediction_and_a_correction_are_kalmans():
     assert [fw["xy_pp"], fw["xy_pv"], fw["xy_vv"]] == pytest.approx(
         covariance[np.triu_indices(2)]
     )
-    a = 0.2 * STANDARD_GRAVITY
+    a = 0.2 * FIRMWARE_GRAVITY
     x = np.array([1 + 0.5 * dt + a * dt * dt / 2, 0.5 + a * dt])
     assert [fw["x"], fw["vx"]] == pytest.approx(x)
     attitude_variance = 0.02 + 10 * (0.1 * 1e-3) ** 2
@@ -279,7 +280,7 @@ def test_in_flight_only_the_force_along_the_body_counts():
     )
     fw["flying"] = 1
     predict(onboard.rows)
-    a = tilt.apply([0.0, 0.0, 1.1 * STANDARD_GRAVITY]) - [0.0, 0.0, STANDARD_GRAVITY]
+    a = tilt.apply([0.0, 0.0, 1.1 * FIRMWARE_GRAVITY]) - [0.0, 0.0, FIRMWARE_GRAVITY]
     assert [fw["vx"], fw["vy"], fw["vz"]] == pytest.approx(0.01 * a)
 
 

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from crazychoir.numerics.kernels import flags, kernel, matrix, real, vector, wholes
 from crazychoir.numerics.math3d import (
-    STANDARD_GRAVITY,
     is_finite,
     normalize_quaternion,
     quaternion_conjugate,
@@ -20,6 +19,7 @@ from crazychoir.numerics.math3d import (
     rotation_logarithm,
 )
 from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
+from crazychoir.simulation.onboard.units import FIRMWARE_GRAVITY
 from crazychoir.types import Bools, Ints, Mat, Vec
 
 
@@ -139,7 +139,7 @@ def predict(fw: Record) -> None:
         return
     dt = fw.samples * TICK_SECONDS
     to_rate = math.radians(1.0) * TICK_SECONDS
-    to_force = STANDARD_GRAVITY / fw.samples
+    to_force = FIRMWARE_GRAVITY / fw.samples
     half = rotation_exponential(
         0.5 * fw.p_sum * to_rate, 0.5 * fw.q_sum * to_rate, 0.5 * fw.r_sum * to_rate
     )
@@ -152,7 +152,7 @@ def predict(fw: Record) -> None:
     fw.qx, fw.qy, fw.qz, fw.qw = normalize_quaternion(quaternion_product(middle, half))
     fw.acx = x[0] * fx + y[0] * fy + z[0] * fz
     fw.acy = x[1] * fx + y[1] * fy + z[1] * fz
-    fw.acz = x[2] * fx + y[2] * fy + z[2] * fz - STANDARD_GRAVITY
+    fw.acz = x[2] * fx + y[2] * fy + z[2] * fz - FIRMWARE_GRAVITY
     fw.x += dt * (fw.vx + 0.5 * dt * fw.acx)
     fw.y += dt * (fw.vy + 0.5 * dt * fw.acy)
     fw.z += dt * (fw.vz + 0.5 * dt * fw.acz)

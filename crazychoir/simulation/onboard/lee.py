@@ -3,7 +3,7 @@
 import math
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.numerics.math3d import STANDARD_GRAVITY, Triple, dot, rotation_columns
+from crazychoir.numerics.math3d import Triple, dot, rotation_columns
 from crazychoir.simulation.onboard.attitude import (
     CONTROL_PERIOD,
     Axes,
@@ -14,6 +14,7 @@ from crazychoir.simulation.onboard.attitude import (
     shorten_vector,
 )
 from crazychoir.simulation.onboard.record import AXIS_MODES, OUTPUT_KINDS, Record
+from crazychoir.simulation.onboard.units import FIRMWARE_GRAVITY
 
 LEE_LEAST_THRUST = (
     1000.0  # thrust command; below it the motors stop and the integrals are reset
@@ -49,7 +50,7 @@ def _compute_lee_force(fw: Record, sp: Record) -> Triple:
         m.mass
         * (
             sp.az
-            + STANDARD_GRAVITY
+            + FIRMWARE_GRAVITY
             + m.Kpos_Pz * p[2]
             + m.Kpos_Dz * v[2]
             + m.Kpos_Iz * m.iz

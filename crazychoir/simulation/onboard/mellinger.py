@@ -3,7 +3,6 @@
 import math
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.simulation.onboard.attitude import (
     CONTROL_PERIOD,
     clamp,
@@ -13,6 +12,7 @@ from crazychoir.simulation.onboard.attitude import (
     compute_wanted_rates,
 )
 from crazychoir.simulation.onboard.record import AXIS_MODES, OUTPUT_KINDS, Record
+from crazychoir.simulation.onboard.units import FIRMWARE_GRAVITY
 
 MOST_MOMENT = 32000.0  # limit of the roll, pitch and yaw commands
 
@@ -36,7 +36,7 @@ def _compute_mellinger_force(fw: Record, sp: Record) -> tuple[float, float, floa
     return (
         m.mass * sp.ax + m.kp_xy * p[0] + m.kd_xy * v[0] + m.ki_xy * m.ix,
         m.mass * sp.ay + m.kp_xy * p[1] + m.kd_xy * v[1] + m.ki_xy * m.iy,
-        m.mass * (sp.az + STANDARD_GRAVITY)
+        m.mass * (sp.az + FIRMWARE_GRAVITY)
         + m.kp_z * p[2]
         + m.kd_z * v[2]
         + m.ki_z * m.iz,

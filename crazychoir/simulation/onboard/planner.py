@@ -10,7 +10,6 @@ import numpy as np
 
 from crazychoir.numerics.kernels import kernel, real
 from crazychoir.numerics.math3d import (
-    STANDARD_GRAVITY,
     Triple,
     clip,
     dot,
@@ -35,6 +34,7 @@ from crazychoir.simulation.onboard.record import (
     rows,
     whole,
 )
+from crazychoir.simulation.onboard.units import FIRMWARE_GRAVITY
 
 
 class PlannerStates(NamedTuple):
@@ -238,7 +238,7 @@ def compute_flat_body_rates(
     yaw_rate: yaw', rad/s
     Source: Mellinger & Kumar 2011, ICRA.
     """
-    f = (a[0], a[1], a[2] + STANDARD_GRAVITY)
+    f = (a[0], a[1], a[2] + FIRMWARE_GRAVITY)
     x, y, z = flat_attitude(f, yaw)
     n = math.sqrt(dot(f, f))
     if n < 1e-6:

@@ -9,6 +9,10 @@ FULL_THRUST_COMMAND = 65535.0
 """Thrust command at which each motor gives thrust_max newtons."""
 
 
+FIRMWARE_GRAVITY = 9.81
+"""m/s2: gravity in the control laws and the estimator of the firmware."""
+
+
 @kernel(real, real)
 def scale_thrust_to_raw(newtons: float, largest: float) -> float:
     """Return the thrust command for a total thrust in N; linear.
