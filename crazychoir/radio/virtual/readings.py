@@ -10,7 +10,6 @@ from typing import Protocol
 
 import numpy as np
 
-from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.radio.protocol.compressed import pack_quaternion
 from crazychoir.radio.virtual.flight import FlightService
 from crazychoir.radio.virtual.memories import MemoryService
@@ -147,7 +146,7 @@ def _estimator_readings(me: DroneParts) -> Readings:
             f"ctrltargetZ.{name}": scaled(f"ctrltarget.{name}", 1000.0) for name in axes
         },
         "controller.actuatorThrust": scaled("controller.cmd_thrust", 1.0),
-        "controller.accelz": scaled("stateEstimate.az", STANDARD_GRAVITY),
+        "controller.accelz": scaled("acc.z", 1.0),
         "controller.ctr_yaw": scaled("controller.cmd_yaw", 1.0),
         **{
             f"controller.r_{name.lower()}": scaled(f"gyro.{axis}", degree)

@@ -6,15 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.simulation.onboard import supervisor
 from crazychoir.simulation.onboard.record import EntryPoints, Fleet
+from crazychoir.simulation.onboard.units import FIRMWARE_GRAVITY
 
 FleetReader = Callable[[Fleet, int], float]
 
 
 def _target_reader(name: str) -> FleetReader:
-    return lambda rows, i: float(rows["wanted"][name][i])
+    """Return a reader of a field of the set-point; its yaw is the rate, as in the firmware."""
+    field = "yaw_rate" if name == "yaw" else name
+    return lambda rows, i: float(rows["wanted"][field][i])
 
 
 def _field_reader(name: str, factor: float = 1.0) -> FleetReader:
@@ -26,10 +28,10 @@ def truncate_to_range(value: float, low: float, high: float) -> int:
     return 0 if math.isnan(value) else int(min(max(value, low), high))
 
 
-def _int16_reader(name: str, factor: float = 1.0) -> FleetReader:
-    """Return a reader of a field, scaled by factor and limited to a 16-bit integer."""
+def _int16_reader(name: str, factor: float = 1.0, offset: float = 0.0) -> FleetReader:
+    """Return a reader of a field, scaled by factor, moved and limited to a 16-bit integer."""
     return lambda rows, i: float(
-        truncate_to_range(float(rows[name][i]) * factor, -32768.0, 32767.0)
+        truncate_to_range(float(rows[name][i]) * factor + offset, -32768.0, 32767.0)
     )
 
 
@@ -98,17 +100,15 @@ _supervisor = EntryPoints(supervisor)
 FIRMWARE_LOG_READERS: dict[str, FleetReader] = {
     **{f"stateEstimate.{name}": _field_reader(name) for name in LOG_FIELDS.state},
     **{
-        f"stateEstimate.a{axis}": _field_reader(f"ac{axis}", 1.0 / STANDARD_GRAVITY)
+        f"stateEstimate.a{axis}": _field_reader(f"ac{axis}", 1.0 / FIRMWARE_GRAVITY)
         for axis in LOG_FIELDS.axes
     },
     **{
         f"stateEstimateZ.{name}": _int16_reader(name, 1000.0)
         for name in LOG_FIELDS.state[:6]
     },
-    **{
-        f"stateEstimateZ.a{axis}": _int16_reader(f"ac{axis}", 1000.0)
-        for axis in LOG_FIELDS.axes
-    },
+    **{f"stateEstimateZ.a{axis}": _int16_reader(f"ac{axis}", 1000.0) for axis in "xy"},
+    "stateEstimateZ.az": _int16_reader("acz", 1000.0, 1000.0 * FIRMWARE_GRAVITY),
     **{f"kalman.state{axis.upper()}": _field_reader(axis) for axis in LOG_FIELDS.axes},
     **{
         f"kalman.var{name}": _field_reader(field)

@@ -103,6 +103,8 @@ def test_each_log_variable_can_be_read():
     assert all(value == value for value in values.values())
     assert values["range.zrange"] == pytest.approx(1000.0 * hangar.state[2])
     assert values["kalman.stateZ"] == pytest.approx(0.5, abs=0.05)
+    # the accelerometer in g, 0.9998 on the firmware
+    assert values["controller.accelz"] == pytest.approx(1.0, abs=0.02)
 
 
 def test_each_parameter_is_read_as_it_boots_or_as_the_model_has_it():

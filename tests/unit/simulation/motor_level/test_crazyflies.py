@@ -123,6 +123,26 @@ def test_logs_of_the_motors_are_pwm_after_compensation_of_the_battery():
     assert max(requests) > 65535.0
 
 
+def test_logs_of_a_flight_have_the_firmwares_values():
+    """Measured on the firmware: in hover, and in a go_to that turns by 90 degrees in 2 s."""
+    world = CrazyflieWorld([1], np.zeros((1, 3)))
+    drone = world.onboard[1]
+    posed(world, 100)
+    for axis in ("roll", "pitch"):  # of the pass before the last pose
+        present = world.log(1, f"stateEstimate.{axis}")
+        assert abs(present) > 1e-4
+        assert world.log(1, f"controller.{axis}") == pytest.approx(present, abs=1e-3)
+    drone.planner.take_off(0.5, 1.0)
+    posed(world, 600)
+    assert world.log(1, "stateEstimateZ.az") == pytest.approx(9805.0, abs=100.0)
+    assert world.log(1, "ctrltarget.yaw") == 0.0
+    drone.planner.go_to((0.0, 0.0, 0.5), math.pi / 2, 2.0)
+    posed(world, 100)
+    assert world.log(1, "ctrltarget.yaw") == pytest.approx(98.0, abs=1.0)
+    posed(world, 110)
+    assert world.log(1, "ctrltarget.yaw") == 0.0
+
+
 def test_a_drone_flies_the_same_alone_and_among_others():
     def flown(ids):
         p0 = np.array([[float(i), 0.0, 0.0] for i in ids])
