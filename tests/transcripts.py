@@ -119,9 +119,9 @@ MEMORY = (
 )
 SUPERVISOR = (
     (
-        "all bits: can arm, armed, arms itself, can fly, plan ended",
+        "all bits: armed, arms itself, can fly, plan ended",
         "9c 0c",
-        ["9c 8c 0f 02"],
+        ["9c 8c 0e 02"],
     ),
     ("one of them: can fly", "9c 04", ["9c 84 01"]),
     ("one of them: flying", "9c 05", ["9c 85 00"]),

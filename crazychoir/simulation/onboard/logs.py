@@ -141,7 +141,7 @@ FIRMWARE_LOG_READERS: dict[str, FleetReader] = {
     "pm.vbat": _field_reader("vbat"),
     "pm.vbatMV": _int16_reader("vbat", 1000.0),
     "supervisor.info": lambda rows, i: float(_supervisor.information(rows, i)),
-    "sys.canfly": lambda rows, i: float(_supervisor.can_fly(rows, i)),
+    "sys.canfly": lambda rows, i: float(_supervisor.information(rows, i) >> 3 & 1),
     "sys.isFlying": _field_reader("flying"),
     "sys.isTumbled": _field_reader("tumbled"),
 }

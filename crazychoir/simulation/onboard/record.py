@@ -186,11 +186,9 @@ drone_fields = np.dtype(
         ("wanted", setpoint_fields),
         # supervisor
         *_integer_fields(
-            "state since armed auto_arm arm_requested flying tumbled estop"
+            "state since armed auto_arm arm_requested turning flying tumbled estop info"
         ),
-        *_integer_fields(
-            "spun upright_at not_upside_at watchdog watchdog_at stopping_at"
-        ),
+        *_integer_fields("upright_at not_upside_at watchdog watchdog_at stopping_at"),
         *_integer_fields(
             "preflight_timeout landed_timeout spinup_timeout tumble_check"
         ),

@@ -105,12 +105,12 @@ def _see_tumbling(fw: Record) -> None:
 
 
 @kernel()
-def _see_flying(fw: Record) -> None:
-    """Detect flight: a motor was above idle in the last 2 s."""
+def _see_motors(fw: Record) -> None:
+    """Detect turning motors: one was above idle in the last 2 s."""
     m = fw.ratio
     if max(max(m[0], m[1]), max(m[2], m[3])) > fw.idle:
         fw.stopping_at = fw.tick
-    fw.flying = 1 if fw.tick - fw.stopping_at < SUPERVISOR_LIMITS.resting_time else 0
+    fw.turning = 1 if fw.tick - fw.stopping_at < SUPERVISOR_LIMITS.resting_time else 0
 
 
 @kernel()
@@ -152,7 +152,7 @@ def _update_on_ground(fw: Record, waited: int) -> None:
             if fw.armed
             else SUPERVISOR_STATES.checks_not_passed,
         )
-    elif fw.flying and fw.armed:
+    elif fw.turning and fw.armed:
         _enter(fw, SUPERVISOR_STATES.flying)
     elif not fw.armed or waited > fw.preflight_timeout:
         _enter(fw, SUPERVISOR_STATES.checks_not_passed)
@@ -166,7 +166,7 @@ def _update_in_air(fw: Record, age: int) -> None:
         _enter(fw, SUPERVISOR_STATES.reset)
     elif age > SUPERVISOR_LIMITS.free_fall_time:
         _enter(fw, SUPERVISOR_STATES.free_fall)
-    elif not fw.flying:
+    elif not fw.turning:
         _enter(fw, SUPERVISOR_STATES.landed)
     elif age > SUPERVISOR_LIMITS.level_out_time:
         if fw.state != SUPERVISOR_STATES.level_out:
@@ -177,25 +177,15 @@ def _update_in_air(fw: Record, age: int) -> None:
 
 @kernel()
 def _update_after_landing(fw: Record, waited: int) -> None:
-    if fw.flying and fw.armed:
+    if fw.turning and fw.armed:
         _enter(fw, SUPERVISOR_STATES.flying)
     elif not fw.armed or waited >= fw.landed_timeout:
         _enter(fw, SUPERVISOR_STATES.reset)
 
 
 @kernel()
-def update(fw: Record) -> None:
-    """Update the supervisor, at most one change of state. Call it at 25 Hz.
-
-    Choices of this model, which may differ from the firmware:
-    - A drone counts as landed when its motors have been at idle for 2 s, also while it levels out.
-    - After a landing, motors stay allowed for landed_timeout ms, for another take-off.
-    - Free fall lasts one pass. Then the drone is locked. Both states keep the motors off, and free
-      fall takes control from all sources of set-points.
-    - Arming always succeeds at the next pass, because motor speeds are not checked.
-    """
-    _see_tumbling(fw)
-    _see_flying(fw)
+def _update_state(fw: Record) -> None:
+    """Make at most one change of state."""
     if fw.watchdog and fw.tick - fw.watchdog_at >= SUPERVISOR_LIMITS.watchdog_time:
         fw.estop = 1
     waited = fw.tick - fw.since
@@ -228,24 +218,62 @@ def may_fly(fw: Record) -> bool:
 
 @kernel()
 def may_arm(fw: Record) -> bool:
-    """Return True if an arming request would succeed: the checks before flight are passed."""
-    return (
-        not fw.estop
-        and fw.state >= SUPERVISOR_STATES.checks_passed
-        and fw.state <= SUPERVISOR_STATES.ready
+    """Return True if a drone that is not armed can be armed: the checks before flight are passed."""
+    may: bool = fw.state == SUPERVISOR_STATES.checks_passed
+    return may
+
+
+@kernel()
+def _write_information(fw: Record) -> None:
+    """Write whether the drone flies, and the bits of supervisor.info.
+
+    0 can arm, 1 armed, 2 arms itself, 3 can fly, 4 flying, 5 tumbled, 6 locked, 7 crashed,
+    8 planner in control, 9 plan ended. Never set: 10 planner disabled, 11 a fault of a deck.
+    """
+    is_flying = fw.state in (SUPERVISOR_STATES.flying, SUPERVISOR_STATES.level_out)
+    fw.flying = 1 if is_flying else 0
+    ended = is_finished(fw)
+    bits = (
+        may_arm(fw),
+        fw.armed != 0,
+        fw.auto_arm != 0,
+        may_fly(fw),
+        is_flying,
+        fw.tumbled != 0,
+        fw.state == SUPERVISOR_STATES.locked,
+        fw.state == SUPERVISOR_STATES.crashed,
+        fw.priority == SETPOINT_PRIORITIES.high_level
+        and fw.planner.state != PLANNER_STATES.idle,
+        ended,
     )
+    word = 0
+    for k in range(10):
+        word |= (1 if bits[k] else 0) << k
+    fw.info = word
+
+
+@kernel()
+def update(fw: Record) -> None:
+    """Update the supervisor, with at most one change of state. Call it at 25 Hz.
+
+    Programs read what it has found until its next pass: `flying` and the bits of supervisor.info.
+    Choices of this model, which may differ from the firmware:
+    - A drone counts as landed when its motors have been at idle for 2 s, also while it levels out.
+    - After a landing, motors stay allowed for landed_timeout ms, for another take-off.
+    - Free fall lasts one pass. Then the drone is locked. Both states keep the motors off, and free
+      fall takes control from all sources of set-points.
+    - Arming always succeeds at the next pass, because motor speeds are not checked.
+    """
+    _see_tumbling(fw)
+    _see_motors(fw)
+    _update_state(fw)
+    _write_information(fw)
 
 
 @kernel(rows, whole)
 def can_fly(fleet: Fleet, i: int) -> bool:
     """Return True if the supervisor allows motors."""
     return may_fly(fleet[i])
-
-
-@kernel(rows, whole)
-def can_arm(fleet: Fleet, i: int) -> bool:
-    """Return True if an arming request would succeed."""
-    return may_arm(fleet[i])
 
 
 @kernel(rows, whole)
@@ -260,29 +288,8 @@ def request_arming(fleet: Fleet, i: int) -> bool:
 
 @kernel(rows, whole)
 def information(fleet: Fleet, i: int) -> int:
-    """Return the bits of supervisor.info.
-
-    0 can arm, 1 armed, 2 arms itself, 3 can fly, 4 flying, 5 tumbled, 6 locked, 7 crashed,
-    8 planner in control, 9 plan ended. Never set: 10 planner disabled, 11 a fault of a deck.
-    """
-    fw = fleet[i]
-    ended = is_finished(fw)
-    bits = (
-        may_arm(fw),
-        fw.armed != 0,
-        fw.auto_arm != 0,
-        may_fly(fw),
-        fw.flying != 0,
-        fw.tumbled != 0,
-        fw.state == SUPERVISOR_STATES.locked,
-        fw.state == SUPERVISOR_STATES.crashed,
-        fw.priority == SETPOINT_PRIORITIES.high_level
-        and fw.planner.state != PLANNER_STATES.idle,
-        ended,
-    )
-    word = 0
-    for k in range(10):
-        word |= (1 if bits[k] else 0) << k
+    """Return the bits of supervisor.info, as they were at the last pass of the supervisor."""
+    word: int = fleet[i].info
     return word
 
 

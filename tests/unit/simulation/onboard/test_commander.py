@@ -141,11 +141,12 @@ def test_a_set_point_stops_the_planner_until_it_is_told(onboard):
     run(onboard, 500)
     assert onboard.info >> 8 & 0b111 == 0b001
     onboard.setpoints.velocity((0, 0, 0.1), 0.0)
+    run(onboard, 40)  # the bits are those of the last pass of the supervisor
     assert onboard.info >> 8 & 0b111 == 0b010
     assert (
         onboard.planner.go_to((0, 0, 1), 0.0, 1.0) == 0
     )  # runs, but its set-points are not used
-    run(onboard, 100)
+    run(onboard, 60)
     assert wanted(onboard, "mode_z") == (2,)
     onboard.notify_setpoint_stop()
     run(onboard, 20)

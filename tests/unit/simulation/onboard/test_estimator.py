@@ -19,13 +19,15 @@ def angle(q, r):
     return (Rotation.from_quat(q).inv() * Rotation.from_quat(r)).magnitude()
 
 
-def follow(onboard, seconds, p, v, q, w, rng=None, every=10):
+def follow(onboard, seconds, p, v, q, w, rng=None, every=10, send=None):
     """Perfect sensors along a motion of constant body rate and given p(t), v(t); poses each `every` ms."""
     for k in range(round(1000 * seconds)):
         t = k * 1e-3
         if k % every == 0:
             noise = np.zeros(3) if rng is None else 0.002 * rng.normal(size=3)
             onboard.external_pose(p(t) + noise, q(t).as_quat())
+            if send:
+                send()
         a = (v(t + 5e-4) - v(t - 5e-4)) / 1e-3
         force = q(t).inv().apply(a + UP)
         loop.run(onboard.rows, 1.0, *w, *force)
@@ -85,7 +87,6 @@ def test_drag_is_seen_as_late_as_by_the_firmware(std, velocity, position):
     """
     onboard = Onboard(CRAZYFLIE_21)
     onboard.set("locSrv.extPosStdDev", std)
-    onboard.record["stopping_at"] = 10**6  # it flies
     q = Rotation.from_euler("y", math.atan(0.225 / G))
     follow(
         onboard,
@@ -95,7 +96,9 @@ def test_drag_is_seen_as_late_as_by_the_firmware(std, velocity, position):
         lambda t: q,
         (0, 0, 0),
         every=20,
+        send=lambda: onboard.setpoints.velocity((1.0, 0.0, 0.0), 0.0),
     )
+    assert onboard.state == "flying"
     at = 5.991
     assert onboard.estimate.p[0] - at == pytest.approx(position, rel=0.15)
     if velocity:

@@ -62,7 +62,7 @@ def test_it_arms_itself_after_power_on():
     bench = Bench(ready=False)
     assert not bench.onboard.info & 0b1010
     assert bench.until("ready to fly") == 121
-    assert bench.onboard.info & 0b1111 == 0b1111
+    assert bench.onboard.info & 0b1111 == 0b1110  # the firmware: 0x20E
 
 
 def test_set_points_age_level_out_free_fall_locked():
@@ -86,6 +86,43 @@ def test_set_points_age_level_out_free_fall_locked():
     assert bench.onboard.state == "locked"
     assert bench.onboard.info >> 6 & 1
     assert not bench.turning
+
+
+def test_a_drone_flies_in_two_states_alone_not_while_its_motors_may_still_turn():
+    """The firmware: after an emergency stop is_flying falls within 40 ms."""
+    bench = Bench().fly()
+    assert bench.onboard.info >> 4 & 1
+    assert bench.onboard.log("sys.isFlying") == 1.0
+    bench.onboard.emergency_stop()
+    bench.run(40)
+    assert bench.onboard.state == "locked"
+    assert not bench.onboard.info >> 4 & 1
+    assert bench.onboard.log("sys.isFlying") == 0.0
+
+
+def test_the_bits_are_those_of_the_last_pass_at_25_hz():
+    bench = Bench().fly()
+    while bench.now % 40 != 1:
+        bench.run(1)
+    before = bench.onboard.info
+    bench.onboard.arm(False)
+    bench.run(39)
+    assert bench.onboard.info == before
+    bench.run(1)
+    assert not bench.onboard.info & 0b10
+
+
+def test_a_drone_cannot_be_armed_before_the_supervisor_has_seen_it_disarmed():
+    """The firmware refuses for up to 40 ms: 81 00 00."""
+    bench = Bench(CRAZYFLIE_21_BRUSHLESS, ready=False)
+    bench.run(200)
+    assert bench.onboard.arm()
+    bench.until("ready to fly")
+    bench.onboard.arm(False)
+    assert not bench.onboard.arm()
+    bench.until("pre-flight checks passed")
+    assert bench.onboard.info & 0b1
+    assert bench.onboard.arm()
 
 
 def test_exactly_500_ms_old_is_not_too_old():
