@@ -233,38 +233,94 @@ def predict(fleet):
     estimator.predict(fleet[0])
 
 
-def test_a_prediction_and_a_correction_are_kalmans():
+SYMMETRIC = np.array([[0.04, 0.01, 0.003], [0.01, 0.09, -0.002], [0.003, -0.002, 0.02]])
+"""A covariance of position, velocity and tilt."""
+COVARIANCE = ("xy_pp", "xy_pv", "xy_pt", "xy_vv", "xy_vt", "xy_tt")
+
+
+def uncertain():
     onboard = Onboard(CRAZYFLIE_21)
     fw = onboard.record
-    fw["xy_pp"], fw["xy_pv"], fw["xy_vv"], fw["att_var"] = 0.04, 0.01, 0.09, 0.02
-    fw["x"], fw["vx"] = 1.0, 0.5
+    for name, value in zip(COVARIANCE, SYMMETRIC[np.triu_indices(3)], strict=True):
+        fw[name] = value
+    fw["yaw_var"] = 0.03
+    fw["x"], fw["vx"], fw["y"], fw["vy"] = 1.0, 0.5, -2.0, 0.3
+    return onboard, fw
+
+
+def corrected(covariance, row, variance):
+    """The gain, and the covariance after a correction of state `row`."""
+    gain = covariance[:, row] / (covariance[row, row] + variance)
+    return gain, covariance - np.outer(gain, covariance[row])
+
+
+def horizontal(fw):
+    return np.array([fw["x"], fw["vx"], fw["y"], fw["vy"]])
+
+
+def test_a_prediction_and_a_correction_are_kalmans():
+    onboard, fw = uncertain()
     fw["samples"], fw["fx_sum"], fw["fz_sum"] = 10, 10 * 0.2, 10.0
     predict(onboard.rows)
-    dt, n = 0.01, 0.5
-    transition = np.array([[1, dt], [0, 1]])
-    noise = np.diag([0.0, 10 * (n * 1e-3) ** 2])  # of each ms
-    covariance = (
-        transition @ np.array([[0.04, 0.01], [0.01, 0.09]]) @ transition.T + noise
-    )
-    assert [fw["xy_pp"], fw["xy_pv"], fw["xy_vv"]] == pytest.approx(
-        covariance[np.triu_indices(2)]
+    dt, n, lift = 0.01, 0.5, FIRMWARE_GRAVITY
+    transition = np.array([[1, dt, lift * dt * dt / 2], [0, 1, lift * dt], [0, 0, 1]])
+    noise = np.diag([0.0, 10 * (n * 1e-3) ** 2, 10 * (0.1 * 1e-3) ** 2])  # of each ms
+    covariance = transition @ SYMMETRIC @ transition.T + noise
+    assert [fw[name] for name in COVARIANCE] == pytest.approx(
+        covariance[np.triu_indices(3)]
     )
     a = 0.2 * FIRMWARE_GRAVITY
-    x = np.array([1 + 0.5 * dt + a * dt * dt / 2, 0.5 + a * dt])
-    assert [fw["x"], fw["vx"]] == pytest.approx(x)
-    attitude_variance = 0.02 + 10 * (0.1 * 1e-3) ** 2
-    assert fw["att_var"] == pytest.approx(attitude_variance)
+    x = np.array([1 + 0.5 * dt + a * dt * dt / 2, 0.5 + a * dt, -2 + 0.3 * dt, 0.3])
+    assert horizontal(fw) == pytest.approx(x)
+    yaw_variance = 0.03 + 10 * (0.1 * 1e-3) ** 2
+    assert fw["yaw_var"] == pytest.approx(yaw_variance)
     q = Rotation.from_rotvec([0.1, -0.2, 0.3])
-    onboard.external_pose(np.array([1.1, 0, 0]), q.as_quat())
-    gain = covariance[:, 0] / (covariance[0, 0] + 1e-4)
-    assert [fw["x"], fw["vx"]] == pytest.approx(x + gain * (1.1 - x[0]))
-    after = covariance - np.outer(gain, covariance[0])
-    assert [fw["xy_pp"], fw["xy_pv"], fw["xy_vv"]] == pytest.approx(
-        after[np.triu_indices(2)]
+    onboard.external_pose(np.array([1.1, -2.2, 0]), q.as_quat())
+    gain, covariance = corrected(covariance, 0, 1e-4)
+    off = np.array([1.1 - x[0], -2.2 - x[2]])
+    x += [gain[0] * off[0], gain[1] * off[0], gain[0] * off[1], gain[1] * off[1]]
+    turned = Rotation.from_rotvec([-gain[2] * off[1], gain[2] * off[0], 0.0])
+    gain, covariance = corrected(covariance, 2, 4.5e-3**2)
+    off = (q * turned.inv()).as_rotvec()
+    x += [gain[0] * off[1], gain[1] * off[1], -gain[0] * off[0], -gain[1] * off[0]]
+    yaw_gain = yaw_variance / (yaw_variance + 4.5e-3**2)
+    turned = Rotation.from_rotvec(np.array([gain[2], gain[2], yaw_gain]) * off) * turned
+    assert horizontal(fw) == pytest.approx(x)
+    assert [fw[name] for name in COVARIANCE] == pytest.approx(
+        covariance[np.triu_indices(3)]
     )
-    k = attitude_variance / (attitude_variance + 4.5e-3**2)
     own = Rotation.from_quat([fw["qx"], fw["qy"], fw["qz"], fw["qw"]])
-    assert own.as_rotvec() == pytest.approx(k * q.as_rotvec())
+    assert own.as_rotvec() == pytest.approx(turned.as_rotvec())
+
+
+def test_a_correction_by_a_velocity_is_kalmans():
+    onboard, fw = uncertain()
+    onboard.measured_velocity(np.array([0.7, 0.2, 0.0]), 0.1)
+    gain, covariance = corrected(SYMMETRIC, 1, 0.1**2)
+    off = (0.7 - 0.5, 0.2 - 0.3)
+    x = np.array([1.0, 0.5, -2.0, 0.3])
+    x += [gain[0] * off[0], gain[1] * off[0], gain[0] * off[1], gain[1] * off[1]]
+    assert horizontal(fw) == pytest.approx(x)
+    assert [fw[name] for name in COVARIANCE] == pytest.approx(
+        covariance[np.triu_indices(3)]
+    )
+    own = Rotation.from_quat([fw["qx"], fw["qy"], fw["qz"], fw["qw"]])
+    assert own.as_rotvec() == pytest.approx([-gain[2] * off[1], gain[2] * off[0], 0.0])
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_tilt_of_the_filter_accelerates_along_its_axis(axis):
+    """A tilt t about y moves along x by F t, a tilt about x along y by -F t."""
+    tilt = np.array([[0.0, 1e-5, 0.0], [-1e-5, 0.0, 0.0]])[axis]
+    got = []
+    for q in (Rotation.identity(), Rotation.from_rotvec(tilt)):
+        onboard = Onboard(CRAZYFLIE_21)
+        fw = onboard.record
+        fw["qx"], fw["qy"], fw["qz"], fw["qw"] = q.as_quat()
+        fw["samples"], fw["fz_sum"] = 10, 10.0
+        predict(onboard.rows)
+        got.append([float(fw["vx"]), float(fw["vy"])][axis])
+    assert got[1] - got[0] == pytest.approx(FIRMWARE_GRAVITY * 0.01 * 1e-5)
 
 
 def test_in_flight_only_the_force_along_the_body_counts():

@@ -1,8 +1,9 @@
 """The state estimator on board: integrated gyroscope and accelerometer, corrected by poses.
 
-Chosen in place of the firmware's Kalman filter with 9 states: two independent filters with scalar
-updates, one for position and velocity on each axis, one for the attitude, with the firmware's
-noise figures.
+Chosen in place of the firmware's Kalman filter with 9 states: four independent filters with scalar
+updates and the firmware's noise figures. Two have the position and velocity along x or y, and the
+tilt that accelerates the drone along that axis. They are alike, so they share their covariance. One
+has the height and the climb, one the yaw.
 """
 
 import math
@@ -78,12 +79,13 @@ def start_estimate(fw: Record) -> None:
     fw.qz = math.sin(0.5 * fw.initial_yaw)
     fw.qw = math.cos(0.5 * fw.initial_yaw)
     fw.xy_pp = INITIAL_DEVIATIONS.horizontal_position**2
-    fw.xy_pv = 0.0
+    fw.xy_pv = fw.xy_pt = fw.xy_vt = 0.0
     fw.xy_vv = INITIAL_DEVIATIONS.velocity**2
+    fw.xy_tt = INITIAL_DEVIATIONS.attitude**2
     fw.z_pp = INITIAL_DEVIATIONS.height**2
     fw.z_pv = 0.0
     fw.z_vv = INITIAL_DEVIATIONS.velocity**2
-    fw.att_var = INITIAL_DEVIATIONS.attitude**2
+    fw.yaw_var = INITIAL_DEVIATIONS.attitude**2
     _clear_sums(fw)
     _update_angles(fw)
 
@@ -101,15 +103,45 @@ def collect_samples(fw: Record) -> None:
 
 
 @kernel()
-def _grow_covariance(
-    pp: float, pv: float, vv: float, noise: float, samples: int
-) -> tuple[float, float, float]:
-    dt = samples * TICK_SECONDS
-    return (
-        pp + dt * (2.0 * pv + dt * vv),
-        pv + dt * vv,
-        vv + samples * (noise * TICK_SECONDS) ** 2,
+def _compute_process_noise(deviation: float, samples: int) -> float:
+    """Return the variance of the noise of some samples, added each ms as in estimator_kalman.c."""
+    return samples * (deviation * TICK_SECONDS) ** 2
+
+
+@kernel()
+def _grow_horizontal_covariance(fw: Record, dt: float, lift: float) -> None:
+    """Predict the covariance of position, velocity and tilt along x or y.
+
+        p <- p + dt v + 1/2 F dt^2 t,   v <- v + F dt t,   t <- t
+
+    lift: F, m/s2: specific force upwards, which a tilt t rad turns
+    """
+    a = 0.5 * lift * dt * dt
+    b = lift * dt
+    pv = fw.xy_pv
+    vv = fw.xy_vv
+    pt = fw.xy_pt
+    vt = fw.xy_vt
+    tt = fw.xy_tt
+    fw.xy_pp += (
+        2.0 * dt * pv + dt * dt * vv + 2.0 * a * pt + 2.0 * a * dt * vt + a * a * tt
     )
+    fw.xy_pv = pv + dt * vv + b * pt + (a + b * dt) * vt + a * b * tt
+    fw.xy_pt = pt + dt * vt + a * tt
+    fw.xy_vv = (
+        vv + 2.0 * b * vt + b * b * tt + _compute_process_noise(fw.noise_xy, fw.samples)
+    )
+    fw.xy_vt = vt + b * tt
+    fw.xy_tt = tt + _compute_process_noise(fw.noise_gyro, fw.samples)
+
+
+@kernel()
+def _turn_estimate(fw: Record, x: float, y: float, z: float) -> None:
+    """Turn the estimated attitude by a small rotation vector, rad, world."""
+    turned = quaternion_product(
+        rotation_exponential(x, y, z), (fw.qx, fw.qy, fw.qz, fw.qw)
+    )
+    fw.qx, fw.qy, fw.qz, fw.qw = normalize_quaternion(turned)
 
 
 @kernel()
@@ -126,11 +158,14 @@ def predict(fw: Record) -> None:
     """Predict the state from the sums since the last prediction or correction.
 
         q <- q exp(w dt),  a = R f - g e3,  p <- p + v dt + a dt^2 / 2,  v <- v + a dt
-        P <- A P A^T + Q,  A = [1 dt; 0 1],  Q = k [0 0; 0 (n 1 ms)^2],  dt = k 1 ms
-        P_att <- P_att + k (n_gyro 1 ms)^2
+        P <- A P A^T + Q,  dt = k 1 ms
+        along x, y: states (p, v, t), A = [1 dt F dt^2/2; 0 1 F dt; 0 0 1]
+        along z:    states (p, v), A = [1 dt; 0 1]
+        Q: k (n 1 ms)^2 for v, k (n_gyro 1 ms)^2 for the tilt t and the yaw
 
     f: m/s2, body: specific force, turned by the attitude at the middle of the interval
     n: m/s2: noise of the acceleration
+    F: m/s2: vertical part of R f
     k: number of samples; the firmware adds its noise each ms (estimator_kalman.c)
     In flight the rotors push along the body's z axis only, so only the z component of f is used:
     the accelerometer's bias across would count as much as drag.
@@ -159,13 +194,11 @@ def predict(fw: Record) -> None:
     fw.vx += dt * fw.acx
     fw.vy += dt * fw.acy
     fw.vz += dt * fw.acz
-    fw.xy_pp, fw.xy_pv, fw.xy_vv = _grow_covariance(
-        fw.xy_pp, fw.xy_pv, fw.xy_vv, fw.noise_xy, fw.samples
-    )
-    fw.z_pp, fw.z_pv, fw.z_vv = _grow_covariance(
-        fw.z_pp, fw.z_pv, fw.z_vv, fw.noise_z, fw.samples
-    )
-    fw.att_var += fw.samples * (fw.noise_gyro * TICK_SECONDS) ** 2
+    _grow_horizontal_covariance(fw, dt, fw.acz + FIRMWARE_GRAVITY)
+    fw.z_pp += dt * (2.0 * fw.z_pv + dt * fw.z_vv)
+    fw.z_pv += dt * fw.z_vv
+    fw.z_vv += _compute_process_noise(fw.noise_z, fw.samples)
+    fw.yaw_var += _compute_process_noise(fw.noise_gyro, fw.samples)
     _clear_sums(fw)
     _update_angles(fw)
     if _is_lost(fw):
@@ -178,14 +211,19 @@ def _correct_position(fw: Record, x: float, y: float, z: float) -> None:
     r = fw.ext_pos_std**2
     k = fw.xy_pp / (fw.xy_pp + r)
     kv = fw.xy_pv / (fw.xy_pp + r)
+    kt = fw.xy_pt / (fw.xy_pp + r)
     dx = x - fw.x
     dy = y - fw.y
     fw.x = fw.x + k * dx
     fw.y = fw.y + k * dy
     fw.vx = fw.vx + kv * dx
     fw.vy = fw.vy + kv * dy
+    _turn_estimate(fw, -kt * dy, kt * dx, 0.0)
     fw.xy_vv = fw.xy_vv - kv * fw.xy_pv
+    fw.xy_vt = fw.xy_vt - kv * fw.xy_pt
+    fw.xy_tt = fw.xy_tt - kt * fw.xy_pt
     fw.xy_pv = (1.0 - k) * fw.xy_pv
+    fw.xy_pt = (1.0 - k) * fw.xy_pt
     fw.xy_pp = (1.0 - k) * fw.xy_pp
     k = fw.z_pp / (fw.z_pp + r)
     kv = fw.z_pv / (fw.z_pp + r)
@@ -195,6 +233,29 @@ def _correct_position(fw: Record, x: float, y: float, z: float) -> None:
     fw.z_vv = fw.z_vv - kv * fw.z_pv
     fw.z_pv = (1.0 - k) * fw.z_pv
     fw.z_pp = (1.0 - k) * fw.z_pp
+
+
+@kernel()
+def _correct_attitude(fw: Record, q: tuple[float, float, float, float]) -> None:
+    own = (fw.qx, fw.qy, fw.qz, fw.qw)
+    e = rotation_logarithm(quaternion_product(q, quaternion_conjugate(own)))
+    r = fw.ext_quat_std**2
+    k = fw.xy_tt / (fw.xy_tt + r)
+    kp = fw.xy_pt / (fw.xy_tt + r)
+    kv = fw.xy_vt / (fw.xy_tt + r)
+    k_yaw = fw.yaw_var / (fw.yaw_var + r)
+    _turn_estimate(fw, k * e[0], k * e[1], k_yaw * e[2])
+    fw.x += kp * e[1]
+    fw.y -= kp * e[0]
+    fw.vx += kv * e[1]
+    fw.vy -= kv * e[0]
+    fw.xy_pp -= kp * fw.xy_pt
+    fw.xy_pv -= kp * fw.xy_vt
+    fw.xy_vv -= kv * fw.xy_vt
+    fw.xy_pt *= 1.0 - k
+    fw.xy_vt *= 1.0 - k
+    fw.xy_tt *= 1.0 - k
+    fw.yaw_var *= 1.0 - k_yaw
 
 
 @kernel(rows, whole)
@@ -210,15 +271,17 @@ def see_position(fleet: Fleet, i: int, p: Vec) -> None:
     if is_finite(p):
         predict(fw)
         _correct_position(fw, p[0], p[1], p[2])
+        _update_angles(fw)
 
 
 @kernel(rows, whole, vector, vector)
 def see_pose(fleet: Fleet, i: int, p: Vec, q: Vec) -> None:
     """Correct by a pose: p (3,) m, q (4,).
 
-        K = P_pp / (P_pp + R),  p <- p + K (p_ext - p),  v <- v + P_pv / (P_pp + R) (p_ext - p)
-        q <- q exp(K_att log(q^-1 q_ext)),  K_att = P_att / (P_att + R_att)
+        s <- s + P H^T (H P H^T + R)^-1 (seen - H s),  P <- P - P H^T (H P H^T + R)^-1 H P
 
+    s: position, velocity and tilt of an axis; H takes the position first, then the tilt
+    seen: position of the pose; tilt and yaw by the rotation vector log(q_ext q^-1), world
     R, R_att: squares of locSrv.extPosStdDev and locSrv.extQuatStdDev
     The sensors' sums are used first, so that the estimate belongs to the time of the pose. A pose
     that is not finite, or with a quaternion far from unit length, is ignored.
@@ -229,17 +292,7 @@ def see_pose(fleet: Fleet, i: int, p: Vec, q: Vec) -> None:
         return
     predict(fw)
     _correct_position(fw, p[0], p[1], p[2])
-    k = fw.att_var / (fw.att_var + fw.ext_quat_std**2)
-    own = (fw.qx, fw.qy, fw.qz, fw.qw)
-    e = rotation_logarithm(
-        quaternion_product(
-            quaternion_conjugate(own), normalize_quaternion((q[0], q[1], q[2], q[3]))
-        )
-    )
-    fw.qx, fw.qy, fw.qz, fw.qw = normalize_quaternion(
-        quaternion_product(own, rotation_exponential(k * e[0], k * e[1], k * e[2]))
-    )
-    fw.att_var *= 1.0 - k
+    _correct_attitude(fw, normalize_quaternion((q[0], q[1], q[2], q[3])))
     _update_angles(fw)
 
 
@@ -267,7 +320,7 @@ def see_velocity(fleet: Fleet, i: int, v: Vec, std: float) -> None:
     """Correct by a velocity, as from a flow deck; chosen.
 
         K = P_vv / (P_vv + std^2)
-        v <- v + K (v_seen - v),  p <- p + P_pv / (P_vv + std^2) (v_seen - v)
+        v <- v + K (v_seen - v),  p <- p + P_pv / (P_vv + std^2) (v_seen - v), the tilt as p
 
     v: (3,) m/s, world
     std: m/s: standard deviation of an axis
@@ -279,14 +332,19 @@ def see_velocity(fleet: Fleet, i: int, v: Vec, std: float) -> None:
     r = std * std
     k = fw.xy_vv / (fw.xy_vv + r)
     kp = fw.xy_pv / (fw.xy_vv + r)
+    kt = fw.xy_vt / (fw.xy_vv + r)
     dx = v[0] - fw.vx
     dy = v[1] - fw.vy
     fw.vx = fw.vx + k * dx
     fw.vy = fw.vy + k * dy
     fw.x = fw.x + kp * dx
     fw.y = fw.y + kp * dy
+    _turn_estimate(fw, -kt * dy, kt * dx, 0.0)
     fw.xy_pp = fw.xy_pp - kp * fw.xy_pv
+    fw.xy_pt = fw.xy_pt - kp * fw.xy_vt
+    fw.xy_tt = fw.xy_tt - kt * fw.xy_vt
     fw.xy_pv = (1.0 - k) * fw.xy_pv
+    fw.xy_vt = (1.0 - k) * fw.xy_vt
     fw.xy_vv = (1.0 - k) * fw.xy_vv
     k = fw.z_vv / (fw.z_vv + r)
     kp = fw.z_pv / (fw.z_vv + r)
@@ -296,3 +354,4 @@ def see_velocity(fleet: Fleet, i: int, v: Vec, std: float) -> None:
     fw.z_pp = fw.z_pp - kp * fw.z_pv
     fw.z_pv = (1.0 - k) * fw.z_pv
     fw.z_vv = (1.0 - k) * fw.z_vv
+    _update_angles(fw)

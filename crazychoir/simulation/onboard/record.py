@@ -170,7 +170,7 @@ drone_fields = np.dtype(
         *_real_fields("p_sum q_sum r_sum fx_sum fy_sum fz_sum"),
         ("samples", np.int64),
         *_real_fields("x y z vx vy vz qx qy qz qw acx acy acz roll pitch yaw"),
-        *_real_fields("xy_pp xy_pv xy_vv z_pp z_pv z_vv att_var"),
+        *_real_fields("xy_pp xy_pv xy_vv xy_pt xy_vt xy_tt z_pp z_pv z_vv yaw_var"),
         *_real_fields(
             "ext_pos_std ext_quat_std noise_xy noise_z noise_gyro max_pos max_vel"
         ),

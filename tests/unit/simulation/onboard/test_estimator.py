@@ -57,10 +57,7 @@ def test_it_follows_a_circle_with_a_turning_heading(every):
 
 
 def test_the_variances_in_hover_are_the_firmwares():
-    """The firmware logs 1.16e-4 and 2.95e-4 with poses at 50 Hz.
-
-    Its tilt adds a tenth to the first; our filters of position and attitude are independent.
-    """
+    """The firmware logs 1.16e-4 and 2.95e-4 with poses at 50 Hz."""
     onboard = Onboard(CRAZYFLIE_21)
     still = (np.array([0.0, 0.0, 0.5]), np.zeros(3))
     q = Rotation.identity()
@@ -73,7 +70,7 @@ def test_the_variances_in_hover_are_the_firmwares():
         (0, 0, 0),
         every=20,
     )
-    assert onboard.log("kalman.varPX") == pytest.approx(1.16e-4, rel=0.15)
+    assert onboard.log("kalman.varPX") == pytest.approx(1.16e-4, rel=0.05)
     assert onboard.log("kalman.varPZ") == pytest.approx(2.95e-4, rel=0.05)
 
 
@@ -100,9 +97,9 @@ def test_drag_is_seen_as_late_as_by_the_firmware(std, velocity, position):
     )
     assert onboard.state == "flying"
     at = 5.991
-    assert onboard.estimate.p[0] - at == pytest.approx(position, rel=0.15)
+    assert onboard.estimate.p[0] - at == pytest.approx(position, rel=0.05)
     if velocity:
-        assert onboard.estimate.v[0] - 1.0 == pytest.approx(velocity, rel=0.1)
+        assert onboard.estimate.v[0] - 1.0 == pytest.approx(velocity, rel=0.05)
 
 
 def test_yaw_goes_through_pi_without_a_jump():
