@@ -250,7 +250,7 @@ def test_a_relative_trajectory_starts_here(onboard):
 
 
 def test_a_trajectory_with_relative_yaw_turns_about_its_own_origin(onboard):
-    """As in the firmware: one that does not begin at its origin jumps."""
+    """As in the firmware, the trajectory jumps if it does not begin at its origin."""
     onboard.trajectories.upload(0, RAMP)
     risen(onboard).planner.go_to((0.4, -0.3, 1.0), 0.5, 0.0)
     run(onboard, 10)
