@@ -3,22 +3,26 @@
 import math
 
 from crazychoir.numerics.kernels import kernel
-from crazychoir.numerics.math3d import Triple, dot, rotation_columns
+from crazychoir.numerics.math3d import Triple, dot, flat_attitude, rotation_columns
 from crazychoir.simulation.onboard.attitude import (
     CONTROL_PERIOD,
     Axes,
+    choose_heading,
+    clamp,
     compute_attitude_error,
+    compute_axes_by_angles,
     compute_tracking_errors,
-    compute_wanted_attitude,
-    compute_wanted_rates,
-    shorten_vector,
 )
 from crazychoir.simulation.onboard.record import AXIS_MODES, OUTPUT_KINDS, Record
-from crazychoir.simulation.onboard.units import FIRMWARE_GRAVITY
+from crazychoir.simulation.onboard.units import (
+    FIRMWARE_GRAVITY,
+    FULL_THRUST_COMMAND,
+)
 
 LEE_LEAST_THRUST = (
     1000.0  # thrust command; below it the motors stop and the integrals are reset
 )
+LEE_LEAST_FORCE = 0.01  # N; below it the integrals are reset, as on the ground
 
 
 @kernel()
@@ -32,18 +36,23 @@ def reset(fw: Record) -> None:
 def _compute_lee_force(fw: Record, sp: Record) -> Triple:
     """Return F = m (a + KP e_p + KD e_v + KI int e_p + g e3), N, world.
 
-    Each vector is shortened to its limit.
+    The components of e_p and e_v are limited; the integral, of the limited e_p, is not.
     """
     m = fw.lee
     p, v = compute_tracking_errors(fw, sp)
-    m.ix, m.iy, m.iz = shorten_vector(
-        m.ix + p[0] * CONTROL_PERIOD,
-        m.iy + p[1] * CONTROL_PERIOD,
-        m.iz + p[2] * CONTROL_PERIOD,
-        m.Kpos_I_limit,
+    p = (
+        clamp(p[0], m.Kpos_P_limit),
+        clamp(p[1], m.Kpos_P_limit),
+        clamp(p[2], m.Kpos_P_limit),
     )
-    p = shorten_vector(p[0], p[1], p[2], m.Kpos_P_limit)
-    v = shorten_vector(v[0], v[1], v[2], m.Kpos_D_limit)
+    v = (
+        clamp(v[0], m.Kpos_D_limit),
+        clamp(v[1], m.Kpos_D_limit),
+        clamp(v[2], m.Kpos_D_limit),
+    )
+    m.ix += p[0] * CONTROL_PERIOD
+    m.iy += p[1] * CONTROL_PERIOD
+    m.iz += p[2] * CONTROL_PERIOD
     return (
         m.mass * (sp.ax + m.Kpos_Px * p[0] + m.Kpos_Dx * v[0] + m.Kpos_Ix * m.ix),
         m.mass * (sp.ay + m.Kpos_Py * p[1] + m.Kpos_Dy * v[1] + m.Kpos_Iy * m.iy),
@@ -71,31 +80,82 @@ def _turn_rates(fw: Record, d: Axes, w: Triple) -> Triple:
 
 
 @kernel()
+def _compute_wanted_rates(fw: Record, sp: Record, d: Axes, f: float) -> Triple:
+    """Return the rates of the wanted attitude in its own axes, rad/s.
+
+        h = m/f (j - (j . z_d) z_d),   w_d = (-h . y_d, h . x_d, z_d_z yaw')
+
+    d: columns x_d, y_d, z_d of Rd
+    f: N: force
+    """
+    j = (sp.jx, sp.jy, sp.jz)
+    along = dot(j, d[2])
+    scale = fw.lee.mass / f if f != 0.0 else 0.0
+    h = (
+        scale * (j[0] - along * d[2][0]),
+        scale * (j[1] - along * d[2][1]),
+        scale * (j[2] - along * d[2][2]),
+    )
+    return -dot(h, d[1]), dot(h, d[0]), d[2][2] * math.radians(sp.yaw_rate)
+
+
+@kernel()
+def _has_place(sp: Record) -> bool:
+    """Return True if a set-point has a place on any axis."""
+    has: bool = (
+        sp.mode_x == AXIS_MODES.absolute
+        or sp.mode_y == AXIS_MODES.absolute
+        or sp.mode_z == AXIS_MODES.absolute
+    )
+    return has
+
+
+@kernel()
+def _compute_wanted_attitude(fw: Record, sp: Record) -> tuple[Axes, float]:
+    """Return the wanted body axes, and the force in N along the present thrust axis.
+
+    A set-point with a place on any axis is followed on all axes. Any other holds its roll and
+    pitch, and its thrust, which is 0 for velocities.
+    """
+    if not _has_place(sp):
+        f = sp.thrust / FULL_THRUST_COMMAND * 4.0 * fw.thrust_max
+        return compute_axes_by_angles(sp, choose_heading(fw, sp)), f
+    force = _compute_lee_force(fw, sp)
+    f = dot(force, rotation_columns((fw.qx, fw.qy, fw.qz, fw.qw))[2])
+    if f < LEE_LEAST_FORCE:
+        reset(fw)
+    up = force if f > 0.0 else (0.0, 0.0, 1.0)
+    return flat_attitude(up, choose_heading(fw, sp)), f
+
+
+@kernel()
 def control(fw: Record, sp: Record) -> None:
     """Make one pass at 500 Hz: write force N and torque N m.
 
         f = F . z_b,  tau = -KR e_R - Kw e_w - KI int e_R + w x J w
         e_R = 1/2 (Rd^T R - R^T Rd)^v,  e_w = w - R^T Rd w_d
 
-    The integral of e_R is unbounded.
-    Choices of this model, which may differ from the firmware: w_d is the body rate of the
-    set-point, which the planner computes from the jerk; there is no feed-forward of the derivative
-    of w_d; a thrust command of 65535 means 4 thrust_max.
-    Source: Lee, Leok & McClamroch 2010, CDC; gains: controller_lee of the firmware.
+    The integral of e_R is unbounded. w_d follows from the jerk and the yaw rate of the set-point;
+    there is no feed-forward of its derivative.
+    Choice of this model, which may differ from the firmware: a thrust command of 65535 means
+    4 thrust_max.
+    Source: Lee, Leok & McClamroch 2010, CDC; modes and gains: controller_lee of the firmware.
     """
     m = fw.lee
     fw.output = OUTPUT_KINDS.force_torque
-    d, f = compute_wanted_attitude(fw, sp, _compute_lee_force(fw, sp))
-    if sp.mode_z == AXIS_MODES.disabled:
-        f = sp.thrust / 65535.0 * 4.0 * fw.thrust_max
-        if sp.thrust < LEE_LEAST_THRUST:
-            fw.force = fw.torque_x = fw.torque_y = fw.torque_z = 0.0
-            reset(fw)
-            return
-    fw.force = max(f, 0.0)
+    if (
+        not _has_place(sp)
+        and sp.mode_z == AXIS_MODES.disabled
+        and sp.thrust < LEE_LEAST_THRUST
+    ):
+        fw.force = fw.torque_x = fw.torque_y = fw.torque_z = 0.0
+        reset(fw)
+        return
+    d, f = _compute_wanted_attitude(fw, sp)
+    fw.force = f
     e = compute_attitude_error(d, fw)
     w = (math.radians(fw.gx), math.radians(fw.gy), math.radians(fw.gz))
-    wd = _turn_rates(fw, d, compute_wanted_rates(sp))
+    wd = _turn_rates(fw, d, _compute_wanted_rates(fw, sp, d, f))
     ew = (w[0] - wd[0], w[1] - wd[1], w[2] - wd[2])
     m.irx = m.irx + 0.5 * e[0] * CONTROL_PERIOD
     m.iry = m.iry + 0.5 * e[1] * CONTROL_PERIOD

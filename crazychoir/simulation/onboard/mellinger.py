@@ -3,13 +3,15 @@
 import math
 
 from crazychoir.numerics.kernels import kernel
+from crazychoir.numerics.math3d import dot, flat_attitude, rotation_columns
 from crazychoir.simulation.onboard.attitude import (
     CONTROL_PERIOD,
+    Axes,
+    choose_heading,
     clamp,
     compute_attitude_error,
+    compute_axes_by_angles,
     compute_tracking_errors,
-    compute_wanted_attitude,
-    compute_wanted_rates,
 )
 from crazychoir.simulation.onboard.record import AXIS_MODES, OUTPUT_KINDS, Record
 from crazychoir.simulation.onboard.units import FIRMWARE_GRAVITY
@@ -44,6 +46,28 @@ def _compute_mellinger_force(fw: Record, sp: Record) -> tuple[float, float, floa
 
 
 @kernel()
+def _compute_wanted_attitude(fw: Record, sp: Record) -> tuple[Axes, float]:
+    """Return the wanted body axes, and the force in N along the present thrust axis.
+
+    A set-point with a place is followed. Roll and pitch with a thrust are held; the force is not
+    used then. In all other modes the drone stays level, at the height of the set-point, which is 0
+    without one.
+    """
+    force = _compute_mellinger_force(fw, sp)
+    z = rotation_columns((fw.qx, fw.qy, fw.qz, fw.qw))[2]
+    if sp.mode_x == AXIS_MODES.absolute:
+        return flat_attitude(force, choose_heading(fw, sp)), dot(force, z)
+    if (
+        sp.mode_roll == AXIS_MODES.absolute
+        and sp.mode_pitch == AXIS_MODES.absolute
+        and sp.mode_z == AXIS_MODES.disabled
+    ):
+        return compute_axes_by_angles(sp, choose_heading(fw, sp)), 0.0
+    up = (0.0, 0.0, force[2] - fw.mellinger.mass * sp.az)
+    return flat_attitude(up, math.radians(fw.yaw)), dot(up, z)
+
+
+@kernel()
 def _compute_damping(
     m: Record, w: tuple[float, float, float], wd: tuple[float, float, float]
 ) -> tuple[float, float]:
@@ -65,23 +89,27 @@ def control(fw: Record, sp: Record) -> None:
         T = massThrust F . z_b
         M = -kR e_R + kw (w_d - w) - ki_m int e_R + kd_omega d(w_d - w)/dt
 
-    e_R = (Rd^T R - R^T Rd)^v, not halved. A thrust of 0 resets the integrals.
-    Choices of this model, which may differ from the firmware: modes other than position and full
-    state act as their names say; w_d is the body rate of the set-point, not rotated.
-    Source: Mellinger & Kumar 2011, ICRA; gains and integrals: controller_mellinger of the firmware.
+    e_R = (Rd^T R - R^T Rd)^v, not halved. A thrust of 0 resets the integrals. w_d is the body rate
+    of the set-point, not rotated; the pitch rate of an RPYT set-point has the wrong sign, as in the
+    firmware.
+    Source: Mellinger & Kumar 2011, ICRA; modes, gains and integrals: controller_mellinger of the
+    firmware.
     """
     m = fw.mellinger
-    axes, force = compute_wanted_attitude(fw, sp, _compute_mellinger_force(fw, sp))
+    axes, force = _compute_wanted_attitude(fw, sp)
     fw.output = OUTPUT_KINDS.legacy
     fw.thrust = sp.thrust if sp.mode_z == AXIS_MODES.disabled else m.massThrust * force
     if fw.thrust <= 0.0:
         fw.thrust = fw.roll_out = fw.pitch_out = fw.yaw_out = 0.0
         reset(fw)
         return
-    fw.thrust = min(fw.thrust, 65535.0)
     e = compute_attitude_error(axes, fw)
     w = (math.radians(fw.gx), math.radians(fw.gy), math.radians(fw.gz))
-    wd = compute_wanted_rates(sp)
+    wd = (
+        math.radians(sp.roll_rate),
+        math.radians(sp.pitch_rate),
+        math.radians(sp.yaw_rate),
+    )
     dx, dy = _compute_damping(m, w, wd)
     m.imx = clamp(m.imx - e[0] * CONTROL_PERIOD, m.i_range_m_xy)
     m.imy = clamp(m.imy - e[1] * CONTROL_PERIOD, m.i_range_m_xy)

@@ -38,9 +38,8 @@ def hovering(controller="pid", yaw=0.0, platform=CRAZYFLIE_21, height=1.0):
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-@pytest.mark.parametrize("controller", CONTROLLERS)
-def test_a_body_rate_is_turned_about_its_axis(controller, axis, sign):
-    body = hovering(controller)
+def test_a_body_rate_is_turned_about_its_axis(axis, sign):
+    body = hovering()
     link = mc.MotorCtrlFPQR(body.onboard)
     rate = np.zeros(3)
     rate[axis] = 0.5 * sign
@@ -67,14 +66,50 @@ def test_attitude_commands_tilt_the_right_way(controller, yaw):
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.2, 3.1])
-@pytest.mark.parametrize("controller", CONTROLLERS)
-def test_velocity_is_in_the_world_and_the_yaw_rate_turns_left(controller, yaw):
-    body = hovering(controller, yaw)
+def test_velocity_is_in_the_world_and_the_yaw_rate_turns_left(yaw):
+    body = hovering(yaw=yaw)
     link = mc.MotorCtrlVel(body.onboard)
     body.fly(2.0, lambda: link.send(Vel(np.array([0.4, -0.3, 0.2, 0.3]))))
     assert body.v == pytest.approx([0.4, -0.3, 0.2], abs=0.12)
     turned = (body.angles[2] - yaw + math.pi) % (2 * math.pi) - math.pi
     assert turned == pytest.approx(0.6, abs=0.2)
+
+
+def placed(controller, send):
+    """2 s of set-points from (0.49, 0.3, 0.77), as measured on the firmware."""
+    body = ready(Body(p=(0.49, 0.3, 0.0)))
+    body.onboard.set("stabilizer.controller", controller)
+    return body.hovering(0.77).fly(2.0, lambda: send(body.onboard.setpoints))
+
+
+def test_mellingers_controller_stays_level_in_modes_that_it_has_not():
+    """Measured on the firmware: down to the floor, (0.52, 0.3), and without the roll."""
+    body = placed("mellinger", lambda to: to.velocity((0.3, 0.0, 0.0), 0.0))
+    assert body.p[2] < 0.02
+    assert body.p[:2] == pytest.approx([0.49, 0.3], abs=0.05)
+    body = placed("mellinger", lambda to: to.hover(0.3, 0.0, 0.0, 0.77))
+    assert body.p[:2] == pytest.approx([0.52, 0.3], abs=0.05)
+    body = placed("mellinger", lambda to: to.z_distance(0.05, 0.0, 0.0, 0.77))
+    assert body.p[:2] == pytest.approx([0.49, 0.3], abs=0.05)
+
+
+def test_mellingers_controller_stays_level_at_commanded_rates():
+    """Near the floor: higher up its law wants a force downwards, and the drone turns over."""
+    body = hovering("mellinger", height=0.2)
+    link = mc.MotorCtrlFPQR(body.onboard)
+    body.fly(0.6, lambda: link.send(FPQR(np.array([body.platform.weight, 0.5, 0, 0]))))
+    assert 0.0 < body.angles[0] < 0.15  # at 0.5 rad/s it would be 0.3 rad
+
+
+def test_lees_controller_has_no_thrust_for_velocities_and_flies_hover_to_the_origin():
+    """Measured on the firmware: it falls at 3.4 m/s; it is at (0.18, 0.01) and (0.02, 0.01)."""
+    body = placed("lee", lambda to: to.velocity((0.3, 0.0, 0.0), 0.0))
+    assert body.p[2] == 0.0
+    assert body.onboard.record["force"] == 0.0
+    body = placed("lee", lambda to: to.hover(0.3, 0.0, 0.0, 0.77))
+    assert body.p[:2] == pytest.approx([0.18, 0.01], abs=0.05)
+    body = placed("lee", lambda to: to.z_distance(0.05, 0.0, 0.0, 0.77))
+    assert body.p[:2] == pytest.approx([0.02, 0.01], abs=0.05)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 2.5])
