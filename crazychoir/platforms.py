@@ -105,6 +105,29 @@ class Battery:
 
 
 @dataclass(frozen=True)
+class BodyEffects:
+    """Effects on the body that recorded flights show and a wrench of ideal rotors lacks.
+
+    The defaults change nothing. `crazychoir validate` fits them to flights of a drone.
+
+        tau += (speed_moment[0] a_y, -speed_moment[1] a_x, 0) - rate_damping w
+
+    a is the speed of the drone through the air and w its rates, both in the body frame: the moment
+    lifts the side that flies ahead.
+    Source: found in 77 flights of a Crazyflie 2.1 (NanoBench, Ullah & Baca, arXiv 2603.09908).
+    """
+
+    speed_moment: tuple[float, float] = (0.0, 0.0)
+    """N m per m/s, about x and y."""
+    motor_factors: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    """Share of the platform's thrust that motors 1 to 4 make at the same command."""
+    rate_damping: Three = (0.0, 0.0, 0.0)
+    """N m per rad/s, body axes."""
+    delay: float = 0.0
+    """s: time constant of a lag between the commands and the rotors, in series with the rotors' own lag."""
+
+
+@dataclass(frozen=True)
 class Platform:
     """The figures of one kind of drone."""
 
@@ -134,6 +157,8 @@ class Platform:
     """m/s: a faster touch-down is a crash."""
     radius: float = 0.0685
     """m: radius of a disc around body and propellers."""
+    effects: BodyEffects = BodyEffects()
+    """What flights show beside the figures above."""
 
     @property
     def weight(self) -> float:

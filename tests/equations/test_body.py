@@ -9,7 +9,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from crazychoir.numerics.math3d import STANDARD_GRAVITY, rotation, rotation_exponential
-from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS, rotor_speed
+from crazychoir.platforms import (
+    CRAZYFLIE_21,
+    CRAZYFLIE_21_BRUSHLESS,
+    PLATFORM_BY_NAME,
+    BodyEffects,
+    rotor_speed,
+)
 from crazychoir.simulation.motor_level import lanes
 from crazychoir.simulation.motor_level.body import (
     ROTOR_HEIGHT,
@@ -24,7 +30,10 @@ from crazychoir.simulation.motor_level.lanes import (
 )
 from crazychoir.simulation.motor_level.motors import MotorConditions, MotorWorld
 
-P = CRAZYFLIE_21
+P = replace(
+    CRAZYFLIE_21,
+    effects=BodyEffects(speed_moment=(6e-4, 7e-4), rate_damping=(5e-5, 6e-5, 8e-5)),
+)
 WIND = np.array([0.5, -0.3, 0.2])
 PUSH, TWIST = np.array([0.01, -0.02, 0.015]), np.array([1e-5, -2e-5, 1.5e-5])
 PLACES = P.arm * np.array([[1, -1, 0], [-1, -1, 0], [-1, 1, 0], [1, 1, 0]])
@@ -70,7 +79,11 @@ def wrench(p, v, r, w, f, goal, platform=P, wind=WIND, push=PUSH, twist=TWIST):
     )
     torque[2] -= TURNS @ (drag + platform.rotor.inertia * change)
     spin = np.array([0, 0, platform.rotor.inertia * TURNS @ speed])
-    return force, torque - np.cross(w, spin) + twist
+    effects = platform.effects
+    x, y, _ = r.T @ (v - wind)
+    lifted = np.array([effects.speed_moment[0] * y, -effects.speed_moment[1] * x, 0.0])
+    damped = np.array(effects.rate_damping) * w
+    return force, torque - np.cross(w, spin) + twist + lifted - damped
 
 
 def slope(t, y, goal):
@@ -142,6 +155,34 @@ def test_a_step_of_a_millisecond_follows_the_equations_to_a_nanometre(truth):
         x[6:10], truth[6:10] / np.linalg.norm(truth[6:10]), atol=1e-9
     )
     np.testing.assert_allclose(x[10:13], truth[10:13], atol=1e-7)
+
+
+def test_motors_make_their_share_of_the_thrust_after_their_delay():
+    factors = (0.9, 1.0, 1.05, 0.8)
+    delay = 0.02
+    platform = replace(P, effects=BodyEffects(motor_factors=factors, delay=delay))
+    world = hovering(platform=platform)
+    hover = platform.weight / 4
+    world.command(0, np.full(4, 0.09 / platform.firmware.thrust_max))
+    for _ in range(3):
+        world.step()
+    goals = world._blocks[0][
+        GOAL_THRUST_1 : GOAL_THRUST_1 + 4 * LANE_COUNT : LANE_COUNT
+    ]
+    wanted = 0.09 * np.array(factors)
+    np.testing.assert_allclose(
+        goals, wanted + (hover - wanted) * math.exp(-0.03 / delay), rtol=1e-12
+    )
+
+
+def test_the_effects_that_flights_show_are_off_for_every_platform():
+    assert {row.effects for row in PLATFORM_BY_NAME.values()} == {BodyEffects()}
+    assert BodyEffects().motor_factors == (1.0, 1.0, 1.0, 1.0)
+    for platform in PLATFORM_BY_NAME.values():
+        constants = lanes.compute_constants(platform, 0.001, True)
+        assert constants[lanes.DELAY_DECAY] == 0.0
+        assert constants[lanes.SPEED_MOMENT_X] == 0.0
+        assert constants[lanes.RATE_DAMPING_X] == 0.0
 
 
 def test_without_torque_and_drag_a_tumbling_fall_keeps_energy_and_angular_momentum():

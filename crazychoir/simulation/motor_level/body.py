@@ -89,6 +89,13 @@ from crazychoir.simulation.motor_level.lanes import (
     RATE_X,
     RATE_Y,
     RATE_Z,
+    DELAY_DECAY,
+    MOTOR_FACTOR_1,
+    RATE_DAMPING_X,
+    RATE_DAMPING_Y,
+    RATE_DAMPING_Z,
+    SPEED_MOMENT_X,
+    SPEED_MOMENT_Y,
 )
 # isort: on
 
@@ -103,11 +110,14 @@ The whole drone is 29 mm high (Bitcraze).
 def set_goal_thrusts(m: Vec) -> None:
     """Turn the commands u into goal thrusts of the rotors.
 
-        f_c = min(u f_max, f(vbat)),  0 if u f_max < f_min or the motors are cut
+        f_n = c_n min(u_n f_max, f(vbat)),  0 if u_n f_max < f_min or the motor is cut
+        f_c = f_n + (f_c' - f_n) exp(-h / delay)
 
     f_max: N: thrust of the command 1, not the greatest thrust
     f(vbat): N: thrust at full duty cycle, the only upper limit of a motor
     f_min: N: a motor stops below this thrust
+    c_n: factors of the motors, and `delay`: see `platforms.BodyEffects`
+    f_c': N: goal one step of h s before
     The firmware divides its voltage by the battery's, so the thrust is as commanded until the duty
     cycle is 1.
     """
@@ -115,8 +125,13 @@ def set_goal_thrusts(m: Vec) -> None:
         for n in range(0, 4 * LANE_COUNT, LANE_COUNT):
             f = m[MOTOR_COMMAND_1 + n + k] * m[LARGEST_THRUST + k]
             f = 0.0 if f < m[SMALLEST_THRUST + k] else f
+            f = (
+                min(f, m[THRUST_CEILING + k])
+                * m[MOTOR_FACTOR_1 + n + k]
+                * m[MOTOR_ALIVE_1 + n + k]
+            )
             m[GOAL_THRUST_1 + n + k] = (
-                min(f, m[THRUST_CEILING + k]) * m[MOTOR_ALIVE_1 + n + k]
+                f + (m[GOAL_THRUST_1 + n + k] - f) * m[DELAY_DECAY + k]
             )
 
 
@@ -218,11 +233,14 @@ def _compute_stage(m: Vec, at: int, ahead: float) -> None:
 
         p' = v,  v' = -g e3 + R s + F / m,  q' = 1/2 q (w, 0)
         m s = g(z) TOTAL_LIFT e3 - A R^T (v - wind),  J w' = tau - w x (J w + ROTOR_MOMENTUM e3)
-        tau = g(z) (TX, TY, 0) + (0, 0, TZ) + M
+        tau = g(z) (TX, TY, 0) + (0, 0, TZ) + M + (c_x a_y, -c_y a_x, 0) - D w
+        a = R^T (v - wind)
 
     F: N, world: external force
     M: N m, body: external torque
     A: kg/s: diagonal drag matrix
+    c_x, c_y: N m per m/s: moments that the air makes of speed, see `platforms.BodyEffects`
+    D: N m per rad/s: diagonal matrix of the rate damping
     The specific force, which the accelerometer senses, is s + R^T F / m.
     """
     for k in range(LANE_COUNT):
@@ -244,8 +262,10 @@ def _compute_stage(m: Vec, at: int, ahead: float) -> None:
         )
         g = compute_ground_effect(m[s + POSITION_Z], m[GROUND_EFFECT_AREA + k])
         light = m[INVERSE_MASS + k]
-        sx = (dot(bx, force) - m[DRAG_X + k] * dot(bx, air)) * light
-        sy = (dot(by, force) - m[DRAG_Y + k] * dot(by, air)) * light
+        ax = dot(bx, air)
+        ay = dot(by, air)
+        sx = (dot(bx, force) - m[DRAG_X + k] * ax) * light
+        sy = (dot(by, force) - m[DRAG_Y + k] * ay) * light
         sz = (
             dot(bz, force) - m[DRAG_Z + k] * dot(bz, air) + g * m[TOTAL_LIFT + k]
         ) * light
@@ -299,6 +319,9 @@ def _compute_stage(m: Vec, at: int, ahead: float) -> None:
         tx = g * m[ROTOR_TORQUE_X + k] + m[EXTERNAL_TORQUE_X + k]
         ty = g * m[ROTOR_TORQUE_Y + k] + m[EXTERNAL_TORQUE_Y + k]
         tz = m[ROTOR_TORQUE_Z + k] + m[EXTERNAL_TORQUE_Z + k]
+        tx += m[SPEED_MOMENT_X + k] * ay - m[RATE_DAMPING_X + k] * w[0]
+        ty -= m[SPEED_MOMENT_Y + k] * ax + m[RATE_DAMPING_Y + k] * w[1]
+        tz -= m[RATE_DAMPING_Z + k] * w[2]
         _store_slope(
             m,
             RATE_X + k,

@@ -158,6 +158,18 @@ BATTERY_CHARGE, BATTERY_VOLTAGE, THRUST_CEILING = (next(_next) for _ in range(3)
     LARGEST_THRUST,
     SMALLEST_THRUST,
 ) = (next(_next) for _ in range(5))
+# Effects that were identified in flight, see `platforms.BodyEffects`.
+MOTOR_FACTOR_1, MOTOR_FACTOR_2, MOTOR_FACTOR_3, MOTOR_FACTOR_4 = (
+    next(_next) for _ in range(4)
+)
+(
+    DELAY_DECAY,
+    SPEED_MOMENT_X,
+    SPEED_MOMENT_Y,
+    RATE_DAMPING_X,
+    RATE_DAMPING_Y,
+    RATE_DAMPING_Z,
+) = (next(_next) for _ in range(6))
 (
     CELL_FULL_VOLTAGE,
     CELL_EMPTY_VOLTAGE,
@@ -186,11 +198,12 @@ def compute_constants(
     """Return the constants of a platform by their place in a block.
 
     Units are SI, but rotor speeds are in rpm. HALF_STEP_DECAY and FULL_STEP_DECAY are the decays of the rotors' lag in
-    h/2 and h s.
+    h/2 and h s, DELAY_DECAY that of the motors' delay in h s.
     """
     rotor = platform.rotor
     cell = platform.battery
     hover = platform.weight / 4.0
+    effects = platform.effects
     return {
         BODY_MASS: platform.mass,
         INERTIA_X: platform.inertia[0],
@@ -216,6 +229,16 @@ def compute_constants(
         GROUND_EFFECT_AREA: (0.25 * rotor.radius) ** 2 if ground_effect else 0.0,
         LARGEST_THRUST: platform.firmware.thrust_max,
         SMALLEST_THRUST: platform.firmware.thrust_min,
+        MOTOR_FACTOR_1: effects.motor_factors[0],
+        MOTOR_FACTOR_2: effects.motor_factors[1],
+        MOTOR_FACTOR_3: effects.motor_factors[2],
+        MOTOR_FACTOR_4: effects.motor_factors[3],
+        DELAY_DECAY: math.exp(-h / effects.delay) if effects.delay > 0.0 else 0.0,
+        SPEED_MOMENT_X: effects.speed_moment[0],
+        SPEED_MOMENT_Y: effects.speed_moment[1],
+        RATE_DAMPING_X: effects.rate_damping[0],
+        RATE_DAMPING_Y: effects.rate_damping[1],
+        RATE_DAMPING_Z: effects.rate_damping[2],
         CELL_FULL_VOLTAGE: cell.full,
         CELL_EMPTY_VOLTAGE: cell.empty,
         CELL_RESISTANCE: cell.resistance,

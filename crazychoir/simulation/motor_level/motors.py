@@ -46,6 +46,7 @@ from crazychoir.simulation.motor_level.lanes import (
     MOTOR_ALIVE_2,
     MOTOR_ALIVE_3,
     MOTOR_ALIVE_4,
+    GOAL_THRUST_1,
     GYROSCOPE_BIAS_X,
     BATTERY_CHARGE,
     ROTOR_THRUST_1,
@@ -269,6 +270,7 @@ class MotorWorld(Truth):
             ]
         )
         for c in range(4):
+            self._put(GOAL_THRUST_1 + c * LANE_COUNT, thrusts[:, c])
             self._put(ROTOR_THRUST_1 + c * LANE_COUNT, thrusts[:, c])
             self._put(STAGE_THRUST_1 + c * LANE_COUNT, thrusts[:, c])
             self._put(THRUST_SLOPE_1 + c * LANE_COUNT, slopes[:, c])
