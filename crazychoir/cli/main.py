@@ -10,7 +10,16 @@ import typer
 from crazychoir.cli.compute import simulate, solve
 from crazychoir.cli.fly import missions, run, virtual
 from crazychoir.cli.operate import dashboard, go_to, inspect, orders, param, task
-from crazychoir.cli.recordings import convert, plot, record, render, replay, rerun, ros
+from crazychoir.cli.recordings import (
+    convert,
+    plot,
+    record,
+    render,
+    replay,
+    rerun,
+    ros,
+    validate,
+)
 from crazychoir.cli.setup import (
     compile_laws,
     doctor,
@@ -62,6 +71,7 @@ COMMANDS_BY_GROUP: dict[CommandGroup, dict[str, Callable[..., None]]] = {
         "render": render.render,
         "rerun": rerun.rerun,
         "convert": convert.convert,
+        "validate": validate.validate,
     },
     CommandGroup.compute: {"solve": solve.solve, "simulate": simulate.simulate},
     CommandGroup.setup: {
