@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from crazychoir.simulation.identification.windows import FlightWindows
 
 MODEL_HEADINGS = (
+    "windows",
     "0.1 s mm",
     "deg",
     "0.25 s mm",
@@ -31,7 +32,7 @@ MODEL_HEADINGS = (
     "m/s",
     "deg",
 )
-"""Headings of the errors in the table of models, at three times ahead."""
+"""Headings of the table of models: their windows, and errors at three times ahead."""
 OPEN_LOOP_NOTE = (
     "RMSE of open-loop predictions, each 0.5 s of flight, from the recorded motors and battery. "
     "Trims: thrust and three angular offsets, from the flight before the prediction."
@@ -114,8 +115,9 @@ def _describe_flights(
             "share_in_gaps": flight.left_out,
             "marker_tilt_rad": list(flight.marker_tilt),
             "position_mm_after_0.5_s": {
-                errors.model: float(errors.rmse(-1, own)[0]) if own.any() else None
+                errors.model: float(errors.rmse(-1, number)[0])
                 for errors in scored
+                if (errors.flight == number).any()
             },
         }
     return flights
@@ -136,6 +138,7 @@ def _build_model_table(scored: "list[OpenLoopErrors]", title: str) -> Table:
         early, middle, late = (errors.rmse(row) for row in SCORED_ROWS)
         table.add_row(
             errors.model,
+            str(len(errors.errors)),
             f"{early[0]:.1f}",
             f"{early[2]:.1f}",
             f"{middle[0]:.1f}",
@@ -165,7 +168,7 @@ def _build_flight_table(
             str(flight["windows"]),
             f"{flight['share_in_gaps']:.0%}",
             *(
-                "" if errors[model] is None else f"{errors[model]:.0f}"
+                f"{errors[model]:.0f}" if model in errors else ""
                 for model in SHOWN_MODELS
             ),
         )

@@ -9,6 +9,7 @@ from scipy.optimize import least_squares
 from crazychoir.platforms import Platform
 from crazychoir.simulation.identification.open_loop import (
     TrimSource,
+    find_predictable,
     follow_plant,
     predict_plant,
 )
@@ -86,6 +87,10 @@ def fit_parameters(windows: FlightWindows, platform: Platform) -> PlantParameter
 
     The errors are those at the scored times, once for each of the FITTED_SOURCES.
     """
+    parts = {
+        source: windows.choose(find_predictable(windows, source))
+        for source in FITTED_SOURCES
+    }
     scale = np.array(astuple(PARAMETER_SCALES))
 
     def weigh_errors(x: Vec) -> Vec:
@@ -93,8 +98,8 @@ def fit_parameters(windows: FlightWindows, platform: Platform) -> PlantParameter
         followed = follow_plant(windows, plant)
         return np.concatenate(
             [
-                _weigh(windows, predict_plant(windows, followed, source))
-                for source in FITTED_SOURCES
+                _weigh(part, predict_plant(part, followed, source))
+                for source, part in parts.items()
             ]
         )
 

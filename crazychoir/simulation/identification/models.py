@@ -10,6 +10,7 @@ from crazychoir.simulation.identification.fitting import (
 )
 from crazychoir.simulation.identification.open_loop import (
     TrimSource,
+    find_predictable,
     follow_plant,
     predict_constant,
     predict_plant,
@@ -56,22 +57,32 @@ def compare_models(
     free = follow_plant(windows, remove_request_limit(platform))
     physical = follow_plant(windows, PHYSICAL_PARAMETERS.apply(platform))
     fitted = follow_plant(windows, FITTED_PARAMETERS.apply(platform))
-    predicted = {
-        CONSTANT_MODEL: predict_constant(windows),
-        NO_TORQUE_MODEL: predict_plant(windows, free, TrimSource.LAST, rotates=False),
-        PLANT_MODEL: predict_plant(windows, plain, TrimSource.NONE),
-        f"simulator, {TrimSource.LAST}": predict_plant(windows, free, TrimSource.LAST),
-        f"physical set, {TrimSource.LAST}": predict_plant(
-            windows, physical, TrimSource.LAST
+    later = find_predictable(windows, TrimSource.FIRST)
+    remaining = windows.choose(later)
+    scored = [
+        score(CONSTANT_MODEL, windows, predict_constant(windows)),
+        score(
+            NO_TORQUE_MODEL,
+            windows,
+            predict_plant(windows, free, TrimSource.LAST, rotates=False),
         ),
-        FITTED_MODEL: predict_plant(windows, fitted, TrimSource.LAST),
-        f"fitted set, {TrimSource.FIRST}": predict_plant(
-            windows, fitted, TrimSource.FIRST
-        ),
-    }
+        score(PLANT_MODEL, windows, predict_plant(windows, plain, TrimSource.NONE)),
+    ]
+    for name, plant in (
+        ("simulator", free),
+        ("physical set", physical),
+        ("fitted set", fitted),
+    ):
+        states = predict_plant(windows, plant, TrimSource.LAST)
+        scored.append(score(f"{name}, {TrimSource.LAST}", windows, states))
+    if later.any():
+        states = predict_plant(remaining, fitted, TrimSource.FIRST)
+        scored.append(score(f"fitted set, {TrimSource.FIRST}", remaining, states))
     if fits:
         tell("fits each flight's parameters to the others: half a minute a flight")
         left_out = predict_left_out(windows, platform, FITTED_SOURCES)
         for source, states in zip(FITTED_SOURCES, left_out, strict=True):
-            predicted[f"fitted to the others, {source}"] = states
-    return [score(model, windows, states) for model, states in predicted.items()]
+            kept = find_predictable(windows, source)
+            name = f"fitted to the others, {source}"
+            scored.append(score(name, windows.choose(kept), states[kept]))
+    return scored

@@ -21,7 +21,7 @@ from crazychoir.simulation.motor_level.lanes import (
     LANE_COUNT,
     MOTOR_FACTOR_1,
 )
-from crazychoir.types import Ints, Mat, Vec
+from crazychoir.types import Bools, Ints, Mat, Vec
 
 
 class TrimSource(StrEnum):
@@ -122,6 +122,16 @@ def predict_plant(
     return states
 
 
+def find_predictable(windows: FlightWindows, source: TrimSource) -> Bools:
+    """Return which windows (w,) begin after all that the source shows."""
+    predictable = np.ones(len(windows.start), bool)
+    for number, flight in enumerate(windows.flights):
+        own = windows.flight == number
+        end = _trim_rows(flight, windows.start[own], source)[1]
+        predictable[own] = windows.start[own] >= end
+    return predictable
+
+
 def estimate_trims(
     windows: FlightWindows, plant: FollowedPlant, source: TrimSource
 ) -> Trims:
@@ -160,7 +170,7 @@ def _trim_rows(
     flight: RealFlight, start: Ints, source: TrimSource
 ) -> tuple[Ints, Ints]:
     """Return the rows [begin, end) that the source shows for windows with these starts."""
-    if source is TrimSource.LAST:
+    if source is not TrimSource.FIRST:
         return start - WINDOW_RULES.history_rows, start
     a, b = flight.airborne
     begin = np.full(len(start), a)

@@ -85,14 +85,14 @@ Damping: chosen by open-loop error. In a closed loop the motors mostly answer di
 shrink the gain.
 """
 FITTED_PARAMETERS = PlantParameters(
-    lag=0.0325,
-    delay=0.0325,
-    torque_gain=0.211,
-    roll_moment=9.34,
-    pitch_moment=9.87,
-    damping=9.97,
-    yaw_damping=4.70,
-    drag=0.410,
+    lag=0.0355,
+    delay=0.0328,
+    torque_gain=0.186,
+    roll_moment=8.30,
+    pitch_moment=8.69,
+    damping=9.20,
+    yaw_damping=4.50,
+    drag=0.409,
     vertical_drag=0.0,
 )
 """Parameters with the least open-loop errors in ten flights of NanoBench, by `fit_parameters`.

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from crazychoir.simulation.identification.flights import FLIGHT_TIME_STEP
 from crazychoir.simulation.identification.windows import FlightWindows
-from crazychoir.types import Bools, Mat
+from crazychoir.types import Ints, Mat
 
 SCORED_ROWS = (10, 25, 50)
 """Rows after the start of a window at which predictions are scored: 0.1, 0.25 and 0.5 s."""
@@ -22,12 +22,16 @@ class OpenLoopErrors:
 
     model: str
     """Name of the model."""
+    flight: Ints
+    """(w,): number of each window's flight."""
     errors: Mat
     """(w, rows + 1, 4): errors of each window at each row, as ERROR_NAMES."""
 
-    def rmse(self, row: int, chosen: Bools | None = None) -> Mat:
-        """Return the root mean squares (4,) of the errors at a row, over the chosen windows."""
-        errors = self.errors[:, row] if chosen is None else self.errors[chosen, row]
+    def rmse(self, row: int, flight: int | None = None) -> Mat:
+        """Return the root mean squares (4,) of the errors at a row, of one flight or all."""
+        errors = self.errors[:, row]
+        if flight is not None:
+            errors = errors[self.flight == flight]
         return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))
 
     def mae(self, row: int) -> Mat:
@@ -58,7 +62,7 @@ def score(model: str, windows: FlightWindows, states: Mat) -> OpenLoopErrors:
             np.linalg.norm(attitude_errors(predicted, recorded), axis=1)
         )
         errors[:, row, 3] = np.linalg.norm(difference[:, 10:], axis=1)
-    return OpenLoopErrors(model, errors)
+    return OpenLoopErrors(model, windows.flight, errors)
 
 
 def attitude_errors(predicted: Mat, recorded: Mat) -> Mat:

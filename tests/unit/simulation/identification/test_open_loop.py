@@ -16,6 +16,7 @@ from crazychoir.simulation.identification.flights import RealFlight, read_flight
 from crazychoir.simulation.identification.open_loop import (
     TrimSource,
     estimate_trims,
+    find_predictable,
     follow_plant,
     predict_constant,
     predict_plant,
@@ -175,3 +176,12 @@ def test_flights_without_a_part_outside_gaps_are_refused(real):
     blind = replace(real.flights[0], is_known=np.zeros(len(real.flights[0].t), bool))
     with pytest.raises(ConfigError, match=r"no 0\.86 s in the air"):
         find_windows([blind])
+
+
+def test_trims_of_the_first_seconds_predict_only_what_comes_later(real):
+    predictable = find_predictable(real, TrimSource.FIRST)
+    take_off = np.array([flight.airborne[0] for flight in real.flights])
+    late = real.start >= take_off[real.flight] + 300
+    np.testing.assert_array_equal(predictable, late)
+    assert 0 < late.sum() < len(late)
+    assert find_predictable(real, TrimSource.LAST).all()
