@@ -151,7 +151,11 @@ class CutAll(Actor):
 
 @pytest.mark.parametrize("seed", [0, 2])
 def test_two_fast_drones_stop_in_front_of_each_other_when_their_link_fails(seed):
-    """They fly at each other at 3 m/s each: 0.5 m are not enough to stop."""
+    """They fly at each other at 3 m/s each: 0.5 m are not enough to stop.
+
+    Their discs would touch at 0.137 m. How far they stop depends on the thrust that their motors have
+    left at that tilt.
+    """
     mission, config = crossing(
         2,
         seed,
@@ -165,7 +169,7 @@ def test_two_fast_drones_stop_in_front_of_each_other_when_their_link_fails(seed)
     )
     config = config.replace(flight={"speed_limit": 3.0, "acceleration_limit": 6.0})
     flights = fly(config, mission, lambda agent: agent.services.append(CutAll(agent)))
-    assert 0.2 < least(*find_places(flights)) < 1.0
+    assert 0.15 < least(*find_places(flights)) < 1.0
 
 
 def test_goals_in_conflict_are_refused_before_the_flight():

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from crazychoir.simulation.identification.windows import FlightWindows
 
 MODEL_HEADINGS = (
-    "windows",
     "0.1 s mm",
     "deg",
     "0.25 s mm",
@@ -32,10 +31,11 @@ MODEL_HEADINGS = (
     "m/s",
     "deg",
 )
-"""Headings of the table of models: their windows, and errors at three times ahead."""
+"""Headings of the table of models: errors at three times ahead."""
 OPEN_LOOP_NOTE = (
     "RMSE of open-loop predictions, each 0.5 s of flight, from the recorded motors and battery. "
-    "Trims: thrust and three angular offsets, from the flight before the prediction."
+    "Trims: thrust and three angular offsets, from the flight before the prediction; those of the first "
+    "3 s are scored on later windows."
 )
 
 
@@ -80,7 +80,8 @@ def validate(
         scored = compare_models(windows, row, fit, ERROR_CONSOLE.print)
     except CrazyChoirError as error:
         exit_with_error(error, as_json)
-    title = f"{len(windows.start)} windows of {len(files)} flights, platform {platform}"
+    flights = f"{len(files)} flight" + "s" * (len(files) > 1)
+    title = f"{len(windows.start)} windows of {flights}, platform {platform}"
     if picture is not None:
         with outputs.writing("--picture"):
             draw_errors(picture, scored, title)
@@ -138,7 +139,6 @@ def _build_model_table(scored: "list[OpenLoopErrors]", title: str) -> Table:
         early, middle, late = (errors.rmse(row) for row in SCORED_ROWS)
         table.add_row(
             errors.model,
-            str(len(errors.errors)),
             f"{early[0]:.1f}",
             f"{early[2]:.1f}",
             f"{middle[0]:.1f}",

@@ -16,9 +16,7 @@ FLIGHTS = [
 
 
 @pytest.fixture
-def validate(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "160")
-
+def validate():
     def run(*arguments):
         return CliRunner().invoke(app, ["validate", *arguments])
 
