@@ -18,8 +18,9 @@ def end_after_parent() -> None:
     """Let this process land or end by SIGHUP when its parent process has ended.
 
     Ctrl-C comes through the parent. Before there is anything to land, it ends this process at once
-    and without a message.
+    and without a message. A program that was started with nohup ignores SIGHUP; this process does not.
     """
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGHUP)
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 

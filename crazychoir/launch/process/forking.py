@@ -133,7 +133,8 @@ def _get_ready_to_fork() -> None:
     Raises RuntimeError if this process has more than one thread.
     """
     _wait_for_threads()
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # the run may ignore it
+    for number in (signal.SIGCHLD, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)  # the run may ignore it
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # it ends a process that waits
     gc.collect()
     gc.freeze()

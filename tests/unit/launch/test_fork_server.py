@@ -346,15 +346,21 @@ async def test_signal_comes_too_late_where_the_system_keeps_no_exit_codes():
         signal.signal(signal.SIGCHLD, before)
 
 
-async def test_signals_reach_the_process(write_program):
+@pytest.mark.parametrize("usual", [signal.SIG_DFL, signal.SIG_IGN])
+async def test_signals_reach_the_process(write_program, usual):
     write_program(PAUSE)
-    with ForkServer() as server:
-        child = await server.start("small_program")
-        await child.stdout.readline()
-        child.send_signal(signal.SIGHUP)
-        assert await child.wait() == -signal.SIGHUP
-        child.kill()  # has no effect
-        await child.stdout.read()
+    before = signal.signal(signal.SIGHUP, usual)
+    try:
+        with ForkServer() as server:
+            child = await server.start("small_program")
+            await child.stdout.readline()
+            child.send_signal(signal.SIGHUP)
+            async with asyncio.timeout(30.0):
+                assert await child.wait() == -signal.SIGHUP
+            child.kill()  # has no effect
+            await child.stdout.read()
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 async def test_processes_go_on_without_their_server_and_no_other_can_start(
@@ -422,14 +428,16 @@ async def test_cancelled_start_leaves_no_process(write_program):
             await server.start("small_program")
 
 
-def test_server_and_processes_end_when_the_run_is_killed(write_program):
+@pytest.mark.parametrize("ignored", [False, True], ids=["", "with nohup"])
+def test_server_and_processes_end_when_the_run_is_killed(write_program, ignored):
     write_program(
         "from crazychoir.launch.process.ending import end_after_parent; "
         f"end_after_parent(); {PAUSE}"
     )
-    run = subprocess.run(
-        [sys.executable, "-c", RUN], stdout=subprocess.PIPE, text=True, check=False
-    )
+    command = [sys.executable, "-c", RUN]
+    if ignored:
+        command = ["nohup", *command]
+    run = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
     assert run.returncode == -signal.SIGKILL
     pids = [int(word) for word in run.stdout.split()]
     assert len(pids) == 2
