@@ -209,11 +209,11 @@ class Channel:
     limit: int = 0
     """First round that may only be sent after a check of the readers' progress."""
     same_graph: range = range(0)
-    """Rounds of `ins` and `outs`."""
+    """Rounds in which `ins` and `outs` are the neighbours."""
     ins: tuple[int, ...] = ()
-    """In-neighbours in the rounds `same_graph`."""
+    """In-neighbours in these rounds."""
     outs: tuple[int, ...] = ()
-    """Out-neighbours in the rounds `same_graph`."""
+    """Out-neighbours in these rounds."""
     sent: dict[int, Sent] = field(default_factory=dict)
     """{round: payload and readers} of the own rounds that are kept."""
     inbox: dict[int, dict[int, Message]] = field(default_factory=dict)

@@ -135,26 +135,25 @@ def test_neighbours_report_two_drones_with_a_failed_link_to_each_other(method):
 
 
 class CutAll(Actor):
-    """All links fail as soon as all fly their law."""
+    """All links fail `at` s after the start of the agent."""
 
     name = "cut all"
 
-    def __init__(self, agent):
+    def __init__(self, agent, at):
         self.agent = agent
+        self.at = at
 
     async def run(self):
-        drones = self.agent.drones.values()
-        while not all(drone.pilot.mode is Mode.FOLLOW for drone in drones):
-            await self.agent.clock.sleep(0.1)
+        await self.agent.clock.sleep(self.at)
         self.agent.bus.impairment.update({"loss": 1.0})
 
 
 @pytest.mark.parametrize("seed", [0, 2])
-def test_two_fast_drones_stop_in_front_of_each_other_when_their_link_fails(seed):
-    """They fly at each other at 3 m/s each: 0.5 m are not enough to stop.
+def test_two_fast_drones_do_not_touch_whenever_their_link_fails(seed):
+    """They fly at each other at 4.4 m/s each, and hear nothing in the last seconds before they meet.
 
-    Their discs would touch at 0.137 m. How far they stop depends on the thrust that their motors have
-    left at that tilt.
+    How near they pass depends on the moment of the failure: the worst is measured as 0.17 m. Their
+    discs would touch at 0.137 m.
     """
     mission, config = crossing(
         2,
@@ -168,8 +167,14 @@ def test_two_fast_drones_stop_in_front_of_each_other_when_their_link_fails(seed)
         speed=3.0,
     )
     config = config.replace(flight={"speed_limit": 3.0, "acceleration_limit": 6.0})
-    flights = fly(config, mission, lambda agent: agent.services.append(CutAll(agent)))
-    assert 0.15 < least(*find_places(flights)) < 1.0
+
+    def fly_until(at):
+        flights = fly(
+            config, mission, lambda agent: agent.services.append(CutAll(agent, at))
+        )
+        return least(*find_places(flights))
+
+    assert 0.15 < min(map(fly_until, np.arange(4.24, 4.57, 0.04))) < 0.3
 
 
 def test_goals_in_conflict_are_refused_before_the_flight():

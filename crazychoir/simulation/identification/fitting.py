@@ -1,7 +1,7 @@
 """Fit the parameters of the plant to windows of recorded flights."""
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, fields
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -42,42 +42,32 @@ class FitRules:
 
 
 FIT_RULES = FitRules()
-PARAMETER_SCALES = PlantParameters(
-    lag=0.06,
-    delay=0.02,
-    torque_gain=0.5,
-    roll_moment=30.0,
-    pitch_moment=30.0,
-    damping=5.0,
-    yaw_damping=5.0,
-    drag=0.4,
-    vertical_drag=0.5,
-)
-"""Scale of each parameter."""
-SMALLEST_PARAMETERS = PlantParameters(
-    lag=0.015,
-    delay=0.0,
-    torque_gain=0.05,
-    roll_moment=0.0,
-    pitch_moment=0.0,
-    damping=0.0,
-    yaw_damping=0.0,
-    drag=0.1,
-    vertical_drag=0.0,
-)
-"""Smallest value of each parameter."""
-LARGEST_PARAMETERS = PlantParameters(
-    lag=0.15,
-    delay=0.08,
-    torque_gain=2.0,
-    roll_moment=100.0,
-    pitch_moment=100.0,
-    damping=60.0,
-    yaw_damping=60.0,
-    drag=1.0,
-    vertical_drag=3.0,
-)
-"""Largest value of each parameter."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterRange:
+    """What a fit may try for one parameter, in the unit of the parameter."""
+
+    scale: float
+    """Typical value, by which the solver divides."""
+    smallest: float
+    """Smallest value."""
+    largest: float
+    """Largest value."""
+
+
+PARAMETER_RANGES = {
+    "lag": ParameterRange(scale=0.06, smallest=0.015, largest=0.15),
+    "delay": ParameterRange(scale=0.02, smallest=0.0, largest=0.08),
+    "torque_gain": ParameterRange(scale=0.5, smallest=0.05, largest=2.0),
+    "roll_moment": ParameterRange(scale=30.0, smallest=0.0, largest=100.0),
+    "pitch_moment": ParameterRange(scale=30.0, smallest=0.0, largest=100.0),
+    "damping": ParameterRange(scale=5.0, smallest=0.0, largest=60.0),
+    "yaw_damping": ParameterRange(scale=5.0, smallest=0.0, largest=60.0),
+    "drag": ParameterRange(scale=0.4, smallest=0.1, largest=1.0),
+    "vertical_drag": ParameterRange(scale=0.5, smallest=0.0, largest=3.0),
+}
+"""Range of each of the PlantParameters."""
 FITTED_SOURCES = (TrimSource.LAST, TrimSource.FIRST)
 """Trims with which the fitted set must predict well, both at once."""
 
@@ -91,7 +81,8 @@ def fit_parameters(windows: FlightWindows, platform: Platform) -> PlantParameter
         source: windows.choose(find_predictable(windows, source))
         for source in FITTED_SOURCES
     }
-    scale = np.array(astuple(PARAMETER_SCALES))
+    ranges = [PARAMETER_RANGES[field.name] for field in fields(PlantParameters)]
+    scale = np.array([one.scale for one in ranges])
 
     def weigh_errors(x: Vec) -> Vec:
         plant = PlantParameters(*(x * scale).tolist()).apply(platform)
@@ -107,8 +98,8 @@ def fit_parameters(windows: FlightWindows, platform: Platform) -> PlantParameter
         weigh_errors,
         np.array(astuple(PHYSICAL_PARAMETERS)) / scale,
         bounds=(
-            np.array(astuple(SMALLEST_PARAMETERS)) / scale,
-            np.array(astuple(LARGEST_PARAMETERS)) / scale,
+            np.array([one.smallest for one in ranges]) / scale,
+            np.array([one.largest for one in ranges]) / scale,
         ),
         diff_step=FIT_RULES.relative_step,
         max_nfev=FIT_RULES.most_evaluations,

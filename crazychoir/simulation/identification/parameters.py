@@ -78,11 +78,13 @@ PHYSICAL_PARAMETERS = PlantParameters(
     drag=0.385,
     vertical_drag=0.50,
 )
-"""Parameters with a physical meaning each, one set for all flights of NanoBench's Crazyflie 2.1 (31.9 g assumed).
+"""Parameters with a physical meaning each, one set for all flights of one drone.
 
-Lag and gain: strong single events. Drag: accelerometer against speed. Moment: mean torques against speed.
-Damping: chosen by open-loop error. In a closed loop the motors mostly answer disturbances, so least squares would
-shrink the gain.
+The drone is NanoBench's Crazyflie 2.1, with an assumed mass of 31.9 g. Lag and gain: single strong
+events. Drag: accelerometer against speed. Moments: mean torques against speed. Damping: the value with
+the least open-loop errors. In a closed loop the motors mostly answer disturbances, so least squares
+would shrink the gain.
+Source: an analysis of 77 flights of NanoBench (arXiv 2603.09908); ten of them are in the tests.
 """
 FITTED_PARAMETERS = PlantParameters(
     lag=0.0355,
@@ -95,7 +97,7 @@ FITTED_PARAMETERS = PlantParameters(
     drag=0.409,
     vertical_drag=0.0,
 )
-"""Parameters with the least open-loop errors in ten flights of NanoBench, by `fit_parameters`.
+"""Parameters with the least open-loop errors in ten flights of NanoBench: the result of `fit_parameters`.
 
 They predict best, but the gain is not physical, see PHYSICAL_PARAMETERS: closed loops want the physical set.
 """

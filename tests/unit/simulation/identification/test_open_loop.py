@@ -1,6 +1,6 @@
 """Predictions agree with the simulator on its own flights, and have the known errors on real ones."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import numpy as np
@@ -154,6 +154,17 @@ def test_the_calibrated_simulator_follows_real_flights(
     assert found.rmse(25)[0] < 8.0
     assert found.rmse(50)[0] < position
     assert found.rmse(50)[2] < attitude
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_the_fitted_set_is_what_a_fit_to_the_ten_flights_gives():
+    flights = [read_flight(path) for path in sorted(FOLDER.glob("*.npz"))]
+    found = fit_parameters(find_windows(flights), CRAZYFLIE_21)
+    assert len(flights) == 10
+    np.testing.assert_allclose(
+        astuple(found), astuple(FITTED_PARAMETERS), rtol=0.03, atol=0.01
+    )
 
 
 def test_the_moment_of_speed_is_what_a_physical_plant_needs_most(real):

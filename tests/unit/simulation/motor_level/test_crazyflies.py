@@ -86,8 +86,10 @@ def test_a_diagonal_position_setpoint_takes_off_from_the_floor(body):
     ("body", "lowest"), [(CRAZYFLIE_21, 0.393), (WEAK_MOTORS, 0.335)]
 )
 def test_a_turning_drone_loses_little_height_in_a_diagonal_step(body, lowest):
-    """The firmware comes down to 0.393 m in such a step.
+    """The firmware came down to 0.393 m in a diagonal step of 1.1 m.
 
+    How that flight began is not known: this one turns, which is chosen so that motors come to their
+    limit, as they did there.
     Our plant has no limit of 0.12 N a motor: at full duty cycle its motors give what its battery
     allows, about twice as much.
     """

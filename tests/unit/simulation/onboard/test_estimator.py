@@ -78,9 +78,9 @@ def test_the_variances_in_hover_are_the_firmwares():
     ("std", "velocity", "position"), [(0.01, 0.093, 0.0187), (0.06, None, 0.116)]
 )
 def test_drag_is_seen_as_late_as_by_the_firmware(std, velocity, position):
-    """The firmware's estimate at 1 m/s with poses at 50 Hz, and a drag of 0.225 m/s2.
+    """The firmware's estimate at 1 m/s with poses at 50 Hz; in flight it takes no drag into account.
 
-    In flight it takes no drag into account.
+    The drag of that flight is not known: 0.225 m/s2 is chosen for the first velocity. The positions follow.
     """
     onboard = Onboard(CRAZYFLIE_21)
     onboard.set("locSrv.extPosStdDev", std)
