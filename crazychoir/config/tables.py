@@ -130,6 +130,34 @@ Gust = Annotated[
 Mismatch = Annotated[
     float, Meta(ge=-0.5, le=0.5, description="a share, -0.5 to 0.5", examples=[0.05])
 ]
+SpeedMoment = Annotated[
+    float,
+    Meta(
+        ge=0,
+        le=100,
+        description="an angular acceleration in rad/s2 per m/s, 0 to 100",
+        examples=[34.0],
+    ),
+]
+Damping = Annotated[
+    float, Meta(ge=0, le=100, description="a damping in 1/s, 0 to 100", examples=[3.0])
+]
+Imbalance = Annotated[
+    float, Meta(ge=0, le=0.5, description="a share, 0 to 0.5", examples=[0.1])
+]
+AngularAcceleration = Annotated[
+    float,
+    Meta(
+        ge=0,
+        le=100,
+        description="an angular acceleration in rad/s2, 0 to 100",
+        examples=[3.0],
+    ),
+]
+Unrest = Annotated[
+    float,
+    Meta(ge=0, le=10, description="an acceleration in m/s2, 0 to 10", examples=[0.07]),
+]
 Tilt = Annotated[
     tuple[
         Annotated[float, Meta(ge=-0.5, le=0.5)], Annotated[float, Meta(ge=-0.5, le=0.5)]
@@ -423,7 +451,7 @@ class FlightTable(SwarmTable, frozen=True, kw_only=True):
 class MocapTable(SwarmTable, frozen=True, kw_only=True):
     """[mocap]: the cameras, simulated or real.
 
-    rate, noise, noise_angle, dropout, latency and tilt describe simulated cameras. All other keys
+    The keys from rate to tilt_spread describe simulated cameras. All other keys
     describe the cameras of drones with a radio.
     """
 
@@ -439,6 +467,8 @@ class MocapTable(SwarmTable, frozen=True, kw_only=True):
     """s: age of a pose when it arrives, in whole periods of the rate."""
     tilt: Tilt = (0.0, 0.0)
     """(2,) rad, roll, pitch: angles by which the tracked body is mounted askew on the drone."""
+    tilt_spread: Turn = 0.0
+    """rad: standard deviation of such angles that differ from drone to drone."""
     source: Source = "virtual"
     """Motion capture system."""
     hostname: Text = "127.0.0.1"
@@ -547,6 +577,28 @@ class MotorsTable(SwarmTable, frozen=True, kw_only=True):
     """Factor on the noise of the inertial sensors; 1 is the data sheet's."""
     floor_tilt: Tilt = (0.0, 0.0)
     """(2,) rad, roll, pitch about the world's axes: tilt of the floor below each drone."""
+    imperfections: Factor = 0.0
+    """Factor on all keys below but worn_battery: 1 for a typical drone, 0 for a perfect one."""
+    speed_moment: SpeedMoment = 34.0
+    """rad/s2 per m/s: angular acceleration that speed makes, see simulation/README.md."""
+    rate_damping: Damping = 3.0
+    """1/s: damping of the roll and pitch rates."""
+    imbalance: Imbalance = 0.1
+    """Largest share by which the thrust of a motor differs from that of the platform."""
+    torque_disturbance: AngularAcceleration = 3.0
+    """rad/s2: standard deviation of slow random torques about x and y; a third of it about z."""
+    force_disturbance: Unrest = 0.07
+    """m/s2: standard deviation of slow random forces, for each axis."""
+    disturbance_time: Timeout = 0.5
+    """s: time constant of both."""
+    vibration: Factor = 1.0
+    """Factor on the noise of the inertial sensors that flying adds."""
+    pose_latency: Seconds = 0.03
+    """s: mean age of a pose when the estimator on board takes it."""
+    pose_jitter: Seconds = 0.01
+    """s: largest difference of that age from its mean."""
+    worn_battery: Flag = False
+    """True for a battery that sags by 0.6 V and is empty after two minutes."""
 
 
 class MujocoTable(SwarmTable, frozen=True, kw_only=True):

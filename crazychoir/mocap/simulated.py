@@ -9,14 +9,20 @@ from typing import Self
 import numpy as np
 
 from crazychoir.config.tables import MocapTable
-from crazychoir.numerics.kernels import kernel, matrix, real, table, vector
-from crazychoir.numerics.math3d import quaternion_product, rotation_exponential
-from crazychoir.types import CameraFrame, Mat, Vec
+from crazychoir.numerics.kernels import kernel, matrix, real, table
+from crazychoir.numerics.math3d import (
+    quaternion_product,
+    rotation_exponential,
+)
+from crazychoir.types import CameraFrame, Mat
+
+TILT_TICK = (1 << 64) - 1
+"""Tick of the draws that are the tilts of the tracked bodies; no exposure has it."""
 
 
-@kernel(matrix, matrix, real, real, vector, table)
+@kernel(matrix, matrix, real, real, matrix, table)
 def _disturb(
-    x: Mat, normal: Mat, noise_p: float, noise_angle: float, tilt: Vec, out: Mat
+    x: Mat, normal: Mat, noise_p: float, noise_angle: float, tilts: Mat, out: Mat
 ) -> None:
     """Write the measured poses: p + n_p, q q_tilt exp(n_angle).
 
@@ -24,12 +30,13 @@ def _disturb(
     normal: (N, 6): standard normals for the noise n
     noise_p: m: standard deviation of n_p, per axis
     noise_angle: rad: standard deviation of n_angle, per axis
-    tilt: (4,): q_tilt
+    tilts: (N, 4): q_tilt of each drone
     out: (N, 7): poses
     """
     for i in range(x.shape[0]):
         q = quaternion_product(
-            (x[i, 6], x[i, 7], x[i, 8], x[i, 9]), (tilt[0], tilt[1], tilt[2], tilt[3])
+            (x[i, 6], x[i, 7], x[i, 8], x[i, 9]),
+            (tilts[i, 0], tilts[i, 1], tilts[i, 2], tilts[i, 3]),
         )
         a = noise_angle
         r = rotation_exponential(a * normal[i, 3], a * normal[i, 4], a * normal[i, 5])
@@ -52,6 +59,8 @@ class CameraErrors:
     """Ticks between exposure and arrival."""
     tilt: tuple[float, float] = (0.0, 0.0)
     """rad, (roll, pitch) of the tracked body against the drone."""
+    tilt_spread: float = 0.0
+    """rad, standard deviation of further tilts that differ from drone to drone."""
 
     @classmethod
     def of(cls, mocap: MocapTable) -> Self:
@@ -62,6 +71,7 @@ class CameraErrors:
             mocap.dropout,
             round(mocap.latency * mocap.rate),
             mocap.tilt,
+            mocap.tilt_spread,
         )
 
 
@@ -71,7 +81,7 @@ STANDARD_CAMERAS = CameraErrors()
 class SimulatedMocap:
     """Cameras that see every drone once a tick, with noise, latency and independent dropouts.
 
-        p_measured = p + n_p,   q_measured = q q_tilt exp(n_angle),   R(q_tilt) = Ry(pitch) Rx(roll)
+        p_measured = p + n_p,   q_measured = q q_tilt exp(n_angle)
 
     The draws for a drone depend only on (seed, tick of exposure, id): Philox with this key, row
     `id`. So they do not depend on earlier calls, nor on the distribution of drones over processes.
@@ -93,12 +103,6 @@ class SimulatedMocap:
         self.seed = seed
         self.dt = dt
         self.errors = errors
-        self._tilt = np.array(
-            quaternion_product(
-                rotation_exponential(0.0, errors.tilt[1], 0.0),
-                rotation_exponential(errors.tilt[0], 0.0, 0.0),
-            )
-        )
         self._rows = np.array(self.ids)
         self._drawn_rows = int(self._rows.max()) + 1
         self._dropout_threshold = _find_dropout_threshold(errors.dropout)
@@ -106,6 +110,7 @@ class SimulatedMocap:
         self._stream = np.random.Generator(self._bits)
         self._beginning = self._bits.state
         self._key = self._beginning["state"]["key"]
+        self._tilts = self._draw_tilts()
         self._exposures: deque[tuple[int, Mat]] = deque()
 
     def sample(self, x: Mat, k: int) -> CameraFrame | None:
@@ -128,19 +133,37 @@ class SimulatedMocap:
             normal,
             self.errors.noise_p,
             self.errors.noise_angle,
-            self._tilt,
+            self._tilts,
             flat,
         )
         return CameraFrame(
             flat, (k - exposed) * self.dt, normal[:, 6] >= self._dropout_threshold
         )
 
+    def _draw_tilts(self) -> Mat:
+        """Return q_tilt (N, 4) of each drone: R(q_tilt) = Ry(pitch) Rx(roll)."""
+        drawn = self._draw(TILT_TICK, 2)
+        roll, pitch = (self.errors.tilt + self.errors.tilt_spread * drawn).T
+        return np.array(
+            [
+                quaternion_product(
+                    rotation_exponential(0.0, about_y, 0.0),
+                    rotation_exponential(about_x, 0.0, 0.0),
+                )
+                for about_x, about_y in zip(roll, pitch, strict=True)
+            ]
+        )
+
     def _normal(self, tick: int) -> Mat:
         """Return standard normals (N, 7) of one exposure: six for noise, one for dropout."""
+        return self._draw(tick, 7)
+
+    def _draw(self, tick: int, count: int) -> Mat:
+        """Return standard normals (N, count) of a tick."""
         # A new generator a tick would draw a seed from the system first, which takes longer.
         self._key[1] = tick
         self._bits.state = self._beginning
-        drawn: Mat = self._stream.standard_normal((self._drawn_rows, 7))
+        drawn: Mat = self._stream.standard_normal((self._drawn_rows, count))
         mine: Mat = drawn.take(self._rows, axis=0)
         return mine
 

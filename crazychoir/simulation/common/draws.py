@@ -29,6 +29,26 @@ class SplitMix64(NamedTuple):
 SPLITMIX_64 = SplitMix64()
 
 
+class RandomStreams(NamedTuple):
+    """Uses of the random streams of a drone: each use has a stream of its own."""
+
+    sensor_noise: int = 0
+    """Noise of the inertial sensors."""
+    sensor_bias: int = 1
+    """Their biases."""
+    gusts: int = 2
+    """Gusts of wind."""
+    motor_factors: int = 3
+    """Differences between its motors."""
+    disturbances: int = 4
+    """Slow torques and forces."""
+    pose_delay: int = 5
+    """Delays of poses on their way to the estimators on board; one for all drones."""
+
+
+RANDOM_STREAMS = RandomStreams()
+
+
 SHIFT_8 = np.uint64(8)
 SHIFT_16 = np.uint64(16)
 SHIFT_27 = np.uint64(27)
@@ -79,9 +99,18 @@ def draw_normals(key: np.uint64, number: np.uint64) -> tuple[float, float]:
     ) * BYTE_SUM.scale
 
 
-@kernel(numba.int64, numba.int64, numba.int64)
 def derive_stream_key(seed: int, use: int, drone: int) -> np.uint64:
-    """Return the key of a drone's stream of random numbers for one use."""
+    """Return the key of a drone's stream of random numbers for one of the RANDOM_STREAMS.
+
+    seed: any whole number, not negative; its lowest 64 bits count
+    """
+    half = 1 << 63
+    return _derive((seed + half) % (2 * half) - half, use, drone)
+
+
+@kernel(numba.int64, numba.int64, numba.int64)
+def _derive(seed: int, use: int, drone: int) -> np.uint64:
+    """Return the key for a seed from -2^63 to 2^63 - 1."""
     key = scramble_bits(np.uint64(seed) + SPLITMIX_64.golden_gamma * np.uint64(use))
     return scramble_bits(key + SPLITMIX_64.golden_gamma * np.uint64(drone))
 

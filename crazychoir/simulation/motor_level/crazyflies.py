@@ -1,13 +1,13 @@
 """Whole Crazyflies: the motor-level world with firmware on board, one compiled pass a step."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
 from typing import Any, Self
 
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel, matrix, memory, table, vector
 from crazychoir.numerics.math3d import (
+    Triple,
     quaternion_product,
     rotation,
     rotation_exponential,
@@ -20,8 +20,13 @@ from crazychoir.simulation.common.world import WorldSetup, make_unsupported_kind
 from crazychoir.simulation.motor_level.air import Wind
 from crazychoir.simulation.motor_level.battery import drain_batteries
 from crazychoir.simulation.motor_level.body import integrate_bodies, set_goal_thrusts
+from crazychoir.simulation.motor_level.disturbances import Disturbances
 from crazychoir.simulation.motor_level.floor import apply_floor
-from crazychoir.simulation.motor_level.imu import Imu, measure_block
+from crazychoir.simulation.motor_level.imperfections import (
+    LARGEST_IMBALANCE,
+    Imperfections,
+)
+from crazychoir.simulation.motor_level.imu import VIBRATING_IMU, measure_block
 from crazychoir.simulation.motor_level.motor_control import (
     MOTOR_CONTROLS,
     CrazyflieLink,
@@ -34,6 +39,7 @@ from crazychoir.simulation.motor_level.motors import (
     keys,
     whole,
 )
+from crazychoir.simulation.motor_level.pose_delay import PoseDelay
 from crazychoir.simulation.onboard.estimator import see_poses
 from crazychoir.simulation.onboard.logs import FIRMWARE_LOG_READERS, read_log_variable
 from crazychoir.simulation.onboard.loop import stabilize
@@ -74,8 +80,6 @@ POSES_PER_UPDATE = 7
 
 If only rates are controlled on board, the estimator gets 14 poses a second of 100.
 """
-SEEN_FLAG = np.ones(1, bool)
-"""Flag of the one drone that was seen."""
 
 
 @kernel()
@@ -135,12 +139,14 @@ def _advance(
 ) -> None:
     """Advance all drones as `motors._advance`, with the firmware between sensors and motors."""
     normal = (options[0], options[1], options[2])
+    at_rest = (options[3], options[4])
+    in_flight = (options[5], options[6])
     for b in range(lanes.shape[0]):
         m = lanes[b].m
         first = b * LANE_COUNT
         load_block(m, first, x, commands, force, torque, below, limited)
         for step in range(steps):
-            measure_block(m, seeds[b], time + step, options[3], options[4])
+            measure_block(m, seeds[b], time + step, at_rest, in_flight)
             _run_firmware(m, first, firmware)
             set_goal_thrusts(m)
             integrate_bodies(m, MOTOR_TIME_STEP)
@@ -168,6 +174,7 @@ class CrazyflieWorld(MotorWorld):
 
     platform: platform for which the firmware is made
     bodies: true platform of each drone, None for the platform of the firmware
+    pose_delay: way of the poses to the estimators on board, None if they arrive at once
     options: options of MotorWorld
     onboard: firmware of each drone by id, with everything that a radio reaches: set-points,
         planner,
@@ -186,6 +193,7 @@ class CrazyflieWorld(MotorWorld):
         platform: Platform | Sequence[Platform] = CRAZYFLIE_21,
         *,
         bodies: Sequence[Platform] | None = None,
+        pose_delay: PoseDelay | None = None,
         **options: Any,
     ) -> None:
         platforms = (
@@ -196,6 +204,7 @@ class CrazyflieWorld(MotorWorld):
         self._needs_arming = np.array(
             [row.firmware.needs_arming for row in platforms], np.int64
         )
+        self._pose_delay = pose_delay
         self._pose_counts = np.zeros(len(ids), np.int64)
         self._pose_intervals = np.ones(len(ids), np.int64)
         super().__init__(
@@ -214,25 +223,20 @@ class CrazyflieWorld(MotorWorld):
         more: further options of this class
         """
         options = setup.options
-        gusts = options["gusts"]
-        noise = options["imu_noise"]
-        wind = (
-            Wind(setup.wind, gusts, options["gust_time"])
-            if gusts > 0.0 or any(setup.wind)
-            else None
+        share = options["imperfections"]
+        imperfections = Imperfections(
+            share * options["speed_moment"],
+            share * options["rate_damping"],
+            min(share * options["imbalance"], LARGEST_IMBALANCE),
+            options["worn_battery"],
         )
-        roll, pitch = options["floor_tilt"]
-        normal = rotation(
-            np.array(
-                quaternion_product(
-                    rotation_exponential(0.0, pitch, 0.0),
-                    rotation_exponential(roll, 0.0, 0.0),
-                )
-            )
-        )[:, 2]
         bodies = [
-            apply_model_errors(row, setup.mass_error, setup.thrust_error)
-            for row in setup.platforms
+            imperfections.apply(
+                apply_model_errors(row, setup.mass_error, setup.thrust_error),
+                setup.seed,
+                i,
+            )
+            for i, row in zip(setup.ids, setup.platforms, strict=True)
         ]
         return cls(
             setup.ids,
@@ -241,17 +245,9 @@ class CrazyflieWorld(MotorWorld):
             setup.platforms,
             dt=setup.dt,
             seed=setup.seed,
-            conditions=MotorConditions(
-                wind=wind,
-                imu=Imu(
-                    **{name: noise * value for name, value in asdict(Imu()).items()}
-                ),
-                has_ground_effect=options["ground_effect"],
-                has_downwash=options["downwash"],
-                charge=options["battery"],
-                floor_normal=tuple(normal.tolist()),
-            ),
+            conditions=_find_conditions(setup),
             bodies=bodies,
+            pose_delay=_find_pose_delay(setup),
             **more,
         )
 
@@ -272,14 +268,11 @@ class CrazyflieWorld(MotorWorld):
 
         If only rates are controlled on board, few poses are passed, because radio time is scarce.
         """
-        row = slice(self.row[i], self.row[i] + 1)
-        see_poses(
-            self._firmware[row],
-            pose.flat[None],
-            SEEN_FLAG,
-            self._pose_counts[row],
-            self._pose_intervals[row],
-        )
+        flat = np.zeros((len(self.ids), 7))
+        seen = np.zeros(len(self.ids), bool)
+        flat[self.row[i]] = pose.flat
+        seen[self.row[i]] = True
+        self.see_frame(flat, seen)
 
     def see_frame(self, flat: Mat, seen: Bools) -> None:
         """Pass the poses of one exposure to the estimators on board, as `see`.
@@ -287,6 +280,19 @@ class CrazyflieWorld(MotorWorld):
         flat: (n, 7): rows laid out as Pose.flat, one a drone
         seen: (n,): whether the drone was seen
         """
+        if self._pose_delay is None:
+            self._take_poses(flat, seen)
+        else:
+            self._pose_delay.send(self.tick, flat, seen)
+
+    def step(self) -> None:
+        """Advance every drone by dt; poses that are due arrive at the beginning of the step."""
+        if self._pose_delay is not None:
+            for flat, seen in self._pose_delay.receive(self.tick):
+                self._take_poses(flat, seen)
+        super().step()
+
+    def _take_poses(self, flat: Mat, seen: Bools) -> None:
         see_poses(self._firmware, flat, seen, self._pose_counts, self._pose_intervals)
 
     def take_commands(self, inputs: Mat, is_new: Ints) -> None:
@@ -350,8 +356,8 @@ class CrazyflieWorld(MotorWorld):
             self.states,
             self._lanes,
             self.commands,
-            self.force,
-            self.torque,
+            self._wrenches.force,
+            self._wrenches.torque,
             self._below,
             self.limited,
             self._resting,
@@ -363,3 +369,46 @@ class CrazyflieWorld(MotorWorld):
             self._options,
             self._firmware,
         )
+
+
+def _find_conditions(setup: WorldSetup) -> MotorConditions:
+    """Return the conditions that the table [motors] of a swarm file asks for."""
+    options = setup.options
+    gusts = options["gusts"]
+    wind = None
+    if gusts > 0.0 or any(setup.wind):
+        wind = Wind(setup.wind, gusts, options["gust_time"])
+    share = options["imperfections"]
+    torque = share * options["torque_disturbance"]
+    force = share * options["force_disturbance"]
+    disturbances = None
+    if torque > 0.0 or force > 0.0:
+        disturbances = Disturbances(torque, force, options["disturbance_time"])
+    return MotorConditions(
+        wind=wind,
+        imu=VIBRATING_IMU.scaled(options["imu_noise"], share * options["vibration"]),
+        disturbances=disturbances,
+        has_ground_effect=options["ground_effect"],
+        has_downwash=options["downwash"],
+        charge=options["battery"],
+        floor_normal=_find_normal(*options["floor_tilt"]),
+    )
+
+
+def _find_normal(roll: float, pitch: float) -> Triple:
+    """Return the normal of a floor that is tilted by these angles in rad, about the world's axes."""
+    tilt = quaternion_product(
+        rotation_exponential(0.0, pitch, 0.0), rotation_exponential(roll, 0.0, 0.0)
+    )
+    x, y, z = rotation(np.array(tilt))[:, 2].tolist()
+    return (x, y, z)
+
+
+def _find_pose_delay(setup: WorldSetup) -> PoseDelay | None:
+    """Return the way of poses that the table [motors] of a swarm file asks for."""
+    share = setup.options["imperfections"]
+    latency = share * setup.options["pose_latency"]
+    jitter = share * setup.options["pose_jitter"]
+    if latency == 0.0 and jitter == 0.0:
+        return None
+    return PoseDelay(latency, jitter, setup.seed, setup.dt)

@@ -21,7 +21,12 @@ from crazychoir.numerics.math3d import (
     rotation_exponential,
 )
 from crazychoir.platforms import CRAZYFLIE_21, Platform
-from crazychoir.simulation.common.draws import Keys, derive_stream_key, draw_uniform
+from crazychoir.simulation.common.draws import (
+    RANDOM_STREAMS,
+    Keys,
+    derive_stream_key,
+    draw_uniform,
+)
 from crazychoir.simulation.common.truth import Truth
 from crazychoir.simulation.motor_level.air import (
     Wind,
@@ -30,6 +35,11 @@ from crazychoir.simulation.motor_level.air import (
 )
 from crazychoir.simulation.motor_level.battery import drain_batteries
 from crazychoir.simulation.motor_level.body import integrate_bodies, set_goal_thrusts
+from crazychoir.simulation.motor_level.disturbances import (
+    Disturbances,
+    DisturbedWrenches,
+    ExternalWrenches,
+)
 from crazychoir.simulation.motor_level.floor import apply_floor
 from crazychoir.simulation.motor_level.imu import Imu, measure_block
 from crazychoir.types import Mat, Vec
@@ -79,10 +89,6 @@ MOTOR_TIME_STEP = 0.001
 """Seconds of one step of the motor-level model, as long as a tick of the firmware."""
 MOTOR_SWITCHES = (MOTOR_ALIVE_1, MOTOR_ALIVE_2, MOTOR_ALIVE_3, MOTOR_ALIVE_4)
 """Places in a block that say whether each motor may turn."""
-NOISE_STREAM = 0
-BIAS_STREAM = 1
-GUST_STREAM = 2
-"""Uses of random streams: noise of the sensors, their biases, and gusts of wind."""
 
 keys: Any = numba.types.Array(numba.uint64, 2, "C", readonly=True)
 whole: Any = numba.int64
@@ -123,14 +129,16 @@ def _advance(
     """Advance all drones by `steps` steps of H s from step number `time`, block by block.
 
     x: (N, 13): states, replaced
-    options: (5,): normal of the floor, deviations of gyroscope and accelerometer
+    options: (7,): normal of the floor, deviations of the inertial sensors
     """
     normal = (options[0], options[1], options[2])
+    at_rest = (options[3], options[4])
+    in_flight = (options[5], options[6])
     for b in range(lanes.shape[0]):
         m = lanes[b].m
         load_block(m, b * LANE_COUNT, x, commands, force, torque, below, limited)
         for step in range(steps):
-            measure_block(m, seeds[b], time + step, options[3], options[4])
+            measure_block(m, seeds[b], time + step, at_rest, in_flight)
             set_goal_thrusts(m)
             integrate_bodies(m, MOTOR_TIME_STEP)
             apply_floor(m, normal, MOTOR_TIME_STEP)
@@ -164,6 +172,8 @@ class MotorConditions:
     """The wind, None for still air."""
     imu: Imu = field(default_factory=Imu)
     """The inertial sensors."""
+    disturbances: Disturbances | None = None
+    """Slow random torques and forces, None for none."""
     has_ground_effect: bool = True
     """Whether the ground effect is simulated."""
     has_downwash: bool = True
@@ -221,6 +231,16 @@ class MotorWorld(Truth):
         self.commands = np.where(self._resting > 0.0, 0.0, hover)[:, None] * np.ones(4)
         self.force = np.zeros((n, 3))
         self.torque = np.zeros((n, 3))
+        self._wrenches = ExternalWrenches(self.force, self.torque)
+        if conditions.disturbances is not None:
+            self._wrenches = DisturbedWrenches(
+                self._wrenches,
+                self.ids,
+                self.platforms,
+                conditions.disturbances,
+                seed,
+                dt,
+            )
         self._below = np.zeros(n)
         self._lift = np.zeros(n)
         self._radius = np.array([row.radius for row in self.platforms])
@@ -231,8 +251,8 @@ class MotorWorld(Truth):
         sensors = conditions.imu
         self._options = np.array([*self._normal, *sensors.deviations(MOTOR_TIME_STEP)])
         self._sensors, self._gusts = (
-            self._keys(seed, NOISE_STREAM),
-            self._keys(seed, GUST_STREAM),
+            self._keys(seed, RANDOM_STREAMS.sensor_noise),
+            self._keys(seed, RANDOM_STREAMS.gusts),
         )
         self._blocks = np.zeros((-(-n // LANE_COUNT), BLOCK_SIZE))
         self._lanes = self._blocks.view(block_fields)[:, 0]
@@ -280,7 +300,9 @@ class MotorWorld(Truth):
         )
         drawn = [
             [draw_uniform(key, c) for c in range(6)]
-            for key in (derive_stream_key(seed, BIAS_STREAM, i) for i in self.ids)
+            for key in (
+                derive_stream_key(seed, RANDOM_STREAMS.sensor_bias, i) for i in self.ids
+            )
         ]
         sensors = conditions.imu
         bias = np.array(drawn) * np.repeat([sensors.gyro_bias, sensors.acc_bias], 3)
@@ -398,6 +420,7 @@ class MotorWorld(Truth):
                 self._chain,
                 self._below,
             )
+        self._wrenches.advance(self.tick, self._resting)
         self._run(self.tick * self._steps, self._steps)
         self.tick += 1
 
@@ -406,8 +429,8 @@ class MotorWorld(Truth):
             self.states,
             self._lanes,
             self.commands,
-            self.force,
-            self.torque,
+            self._wrenches.force,
+            self._wrenches.torque,
             self._below,
             self.limited,
             self._resting,

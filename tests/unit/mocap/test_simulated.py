@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from crazychoir.config.tables import MocapTable
 from crazychoir.mocap.simulated import CameraErrors, SimulatedMocap
@@ -26,9 +27,10 @@ def test_the_errors_of_the_cameras_are_those_of_the_swarm_file():
         latency=0.04,
         rate=50.0,
         tilt=(0.1, -0.2),
+        tilt_spread=0.01,
     )
     errors = CameraErrors.of(table)
-    assert errors == CameraErrors(0.001, 0.02, 0.1, 2, (0.1, -0.2))
+    assert errors == CameraErrors(0.001, 0.02, 0.1, 2, (0.1, -0.2), 0.01)
 
 
 def test_what_is_drawn_depends_on_seed_tick_and_id_alone():
@@ -111,3 +113,14 @@ def test_a_body_that_is_mounted_askew_is_seen_turned_by_the_same_angles_whatever
             r[:, 0], [np.cos(0.05), 0.0, np.sin(0.05)], atol=1e-15
         )
         np.testing.assert_array_equal(pose.p, row[0:3])
+
+
+def test_bodies_are_mounted_askew_by_angles_of_their_own():
+    errors = CameraErrors(0.0, 0.0, tilt_spread=0.01)
+    frame = SimulatedMocap(range(400), 3, errors).sample(truth(range(400)), 0)
+    angles = Rotation.from_quat(frame.flat[:, 3:]).as_euler("ZYX")
+    yaw, *tilts = (angles - Rotation.from_quat(truth([0])[0, 6:10]).as_euler("ZYX")).T
+    np.testing.assert_allclose(yaw, 0.0, atol=2e-4)
+    np.testing.assert_allclose(np.std(tilts, axis=1), 0.01, rtol=0.1)
+    alone = SimulatedMocap([7], 3, errors).sample(truth([7]), 5)
+    np.testing.assert_array_equal(alone.flat[0, 3:], frame.flat[7, 3:])
