@@ -7,7 +7,7 @@ import typer
 from rich import box
 from rich.table import Table
 
-from crazychoir.errors import CrazyChoirError
+from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch.console import (
     ANSWER_CONSOLE,
     ERROR_CONSOLE,
@@ -19,6 +19,7 @@ from crazychoir.launch.console import (
 )
 
 if TYPE_CHECKING:
+    from crazychoir.simulation.identification.closed_loop_scores import ClosedLoopScore
     from crazychoir.simulation.identification.scores import OpenLoopErrors
     from crazychoir.simulation.identification.windows import FlightWindows
 
@@ -32,6 +33,22 @@ MODEL_HEADINGS = (
     "deg",
 )
 """Headings of the table of models: errors at three times ahead."""
+LOOP_HEADINGS = (
+    "speed",
+    "apart mm",
+    "tracking mm",
+    "lag s",
+    "rest mm",
+    "height mm",
+    "tilt deg",
+    "laps mm",
+)
+"""Headings of the table of flights in closed loop."""
+CLOSED_LOOP_NOTE = (
+    "Closed loop: the recorded set-points flown again by the simulated firmware. Pairs are recorded and simulated "
+    "figures. Apart: RMSE between both. Tracking: RMSE against the set-points; rest: behind the lag. "
+    "Laps: scatter of the radius over the laps of a circle."
+)
 OPEN_LOOP_NOTE = (
     "RMSE of open-loop predictions, each 0.5 s of flight, from the recorded motors and battery. "
     "Trims: thrust and three angular offsets, from the flight before the prediction; those of the first "
@@ -57,27 +74,45 @@ def validate(
         Path | None,
         typer.Option(help="Draw the errors over the time ahead into this file."),
     ] = None,
+    paths: Annotated[
+        Path | None,
+        typer.Option(help="Draw recorded and simulated paths into this file."),
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON object, nothing else.")
     ] = False,
 ) -> None:
     """Compare the simulator with recorded flights of a real drone.
 
-    Predicts each half second of the flights open loop, with the motor-level simulator and simpler models.
+    Predicts each half second of the flights open loop, with the motor-level simulator and simpler models, and flies
+    recorded set-points again in closed loop.
     """
     set_up_logging()
     from crazychoir.platforms import find_platform
+    from crazychoir.simulation.identification.closed_loop import fly_again
+    from crazychoir.simulation.identification.closed_loop_scores import (
+        find_medians,
+        score_closed_loop,
+    )
     from crazychoir.simulation.identification.flights import read_flight
     from crazychoir.simulation.identification.models import compare_models
-    from crazychoir.simulation.identification.picture import draw_errors
+    from crazychoir.simulation.identification.picture import draw_errors, draw_paths
     from crazychoir.simulation.identification.windows import find_windows
 
     outputs = CommandOutputs()
     try:
         row = find_platform(platform, "--platform")
         require_drawable(picture)
-        windows = find_windows([read_flight(path) for path in files])
+        require_drawable(paths)
+        read = [read_flight(path) for path in files]
+        windows = find_windows(read)
         scored = compare_models(windows, row, fit, ERROR_CONSOLE.print)
+        flown = fly_again([one for one in read if one.setpoints is not None], row)
+        loops = [score_closed_loop(one) for one in flown]
+        if paths is not None and not flown:
+            raise ConfigError(
+                "--paths", "no flight with set-points", "flights with sp and sp_yaw"
+            )
     except CrazyChoirError as error:
         exit_with_error(error, as_json)
     flights = f"{len(files)} flight" + "s" * (len(files) > 1)
@@ -85,6 +120,9 @@ def validate(
     if picture is not None:
         with outputs.writing("--picture"):
             draw_errors(picture, scored, title)
+    if paths is not None:
+        with outputs.writing("--paths"):
+            draw_paths(paths, flown)
     if as_json:
         write_json(
             {
@@ -93,12 +131,18 @@ def validate(
                 "windows": len(windows.start),
                 "flights": _describe_flights(windows, scored),
                 "models": {errors.model: errors.figures() for errors in scored},
+                "closed_loop": [loop.figures() for loop in loops],
+                "closed_loop_medians": find_medians(loops),
                 "picture": picture,
+                "paths": paths,
                 **outputs.told,
             }
         )
     else:
         _show(windows, scored, title)
+        if loops:
+            ANSWER_CONSOLE.print(_build_loop_table(loops))
+            ANSWER_CONSOLE.print(CLOSED_LOOP_NOTE)
     outputs.say()
     if outputs.failed:
         raise typer.Exit(1)
@@ -171,6 +215,38 @@ def _build_flight_table(
                 f"{errors[model]:.0f}" if model in errors else ""
                 for model in SHOWN_MODELS
             ),
+        )
+    return table
+
+
+def _build_loop_table(loops: "list[ClosedLoopScore]") -> Table:
+    """Build the table of the flights in closed loop, with medians for each speed."""
+    from crazychoir.simulation.identification.closed_loop_scores import find_medians
+
+    table = _make_table("closed loop", "flight", LOOP_HEADINGS)
+    for loop in loops:
+        real = loop.real
+        other = loop.simulated
+        laps = ""
+        if real.scatter_mm is not None and other.scatter_mm is not None:
+            laps = f"{real.scatter_mm:.0f} {other.scatter_mm:.0f}"
+        table.add_row(
+            loop.flight,
+            loop.speed,
+            f"{loop.difference_mm:.0f}",
+            f"{real.tracking_mm:.0f} {other.tracking_mm:.0f}",
+            f"{real.lag_s:.2f} {other.lag_s:.2f}",
+            f"{real.rest_mm:.0f} {other.rest_mm:.0f}",
+            f"{real.height_mm:.0f} {other.height_mm:.0f}",
+            f"{real.tilt_deg:.1f} {other.tilt_deg:.1f}",
+            laps,
+        )
+    for speed, medians in find_medians(loops).items():
+        table.add_row(
+            f"median of {medians['flights']:.0f}",
+            speed,
+            f"{medians['difference_mm']:.0f}",
+            f"x {medians['ratio']:.2f}",
         )
     return table
 

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from crazychoir.errors import ConfigError
 from crazychoir.numerics.math3d import STANDARD_GRAVITY
+from crazychoir.simulation.onboard.units import FULL_THRUST_COMMAND
 from crazychoir.types import Bools, Mat, Vec
 
 FLIGHT_TIME_STEP = 0.01
@@ -39,6 +40,17 @@ duty: 0..1, duty cycles of motors 1 to 4 after battery compensation, on the cloc
 vbat: V under load, on the clock of the drone
 delay: s: what the drone recorded at t happened at t - delay
 gap: s: time between the two packets of telemetry around the row; longer times were interpolated
+"""
+SETPOINT_COLUMNS = {"sp": (3,), "sp_yaw": ()}
+"""Shape of a row of the arrays that a flight may have, if it was flown by set-points of positions.
+
+sp: m, world: set-point that the firmware followed, on the clock of the drone
+sp_yaw: rad: its heading
+"""
+REQUEST_COLUMNS = {"cmd_thrust": ()}
+"""Shape of a row of the array that a flight with the firmware's PID controller may have.
+
+cmd_thrust: 0..65535, thrust that the controller asked for, before battery compensation, on the clock of the drone
 """
 
 
@@ -88,6 +100,10 @@ class RealFlight:
     """Rows [a, b) in which the drone flies."""
     marker_tilt: tuple[float, float]
     """rad: tilt of the thrust axis in the frame of the markers, towards x and towards y."""
+    setpoints: Mat | None = None
+    """(n, 4) m, rad: place above the floor and heading that the firmware followed; None if not recorded."""
+    request: Vec | None = None
+    """(n,): share of the greatest thrust that a PID controller asked for; None if not recorded."""
 
     @property
     def states(self) -> Mat:
@@ -128,11 +144,29 @@ def read_flight(path: Path) -> RealFlight:
         is_known=np.interp(t, happened, columns["gap"]) <= FLIGHT_RULES.longest_gap,
         airborne=airborne,
         marker_tilt=tilt,
+        setpoints=_find_setpoints(columns, happened, floor),
+        request=_find_request(columns, happened),
     )
 
 
+def _find_setpoints(columns: dict[str, Mat], happened: Vec, floor: float) -> Mat | None:
+    """Return the set-points (n, 4) above the floor on the clock of motion capture, None without."""
+    if not columns.keys() >= SETPOINT_COLUMNS.keys():
+        return None
+    places = columns["sp"] - [0.0, 0.0, floor]
+    return _align(columns["t"], happened, np.column_stack([places, columns["sp_yaw"]]))
+
+
+def _find_request(columns: dict[str, Mat], happened: Vec) -> Vec | None:
+    """Return the requested share of the greatest thrust (n,) on the clock of motion capture, None without."""
+    if "cmd_thrust" not in columns:
+        return None
+    shares = columns["cmd_thrust"] / FULL_THRUST_COMMAND
+    return np.interp(columns["t"], happened, shares)
+
+
 def _read_columns(path: Path) -> dict[str, Mat]:
-    """Return the arrays of FLIGHT_COLUMNS as float64.
+    """Return the arrays of FLIGHT_COLUMNS, and arrays that a flight may have, as float64.
 
     Raises ConfigError if one is missing, has another shape, or is not finite.
     """
@@ -148,9 +182,14 @@ def _read_columns(path: Path) -> dict[str, Mat]:
     missing = [name for name in FLIGHT_COLUMNS if name not in arrays]
     if missing:
         raise ConfigError(str(path), f"no {', '.join(missing)}", allowed)
-    columns = {name: np.asarray(arrays[name], float) for name in FLIGHT_COLUMNS}
+    shapes = FLIGHT_COLUMNS | {
+        name: shape
+        for name, shape in (SETPOINT_COLUMNS | REQUEST_COLUMNS).items()
+        if name in arrays
+    }
+    columns = {name: np.asarray(arrays[name], float) for name in shapes}
     rows = columns["t"].shape[0] if columns["t"].ndim == 1 else 0
-    for name, shape in FLIGHT_COLUMNS.items():
+    for name, shape in shapes.items():
         column = columns[name]
         if column.shape != (rows, *shape):
             raise ConfigError(
