@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from crazychoir.filters.command_history import RATE_LOOP_MODEL, compute_history_size
 from crazychoir.filters.motion import CommandedMotion
+from crazychoir.filters.place_noise import PLACE_NOISE
 from crazychoir.filters.row_filter import RowFilter
 from crazychoir.filters.rows import FilterKind, FilterTable
 from crazychoir.types import Mat
@@ -14,15 +15,18 @@ from crazychoir.types import Mat
 class KalmanNoise:
     """Deviations of the measured poses, and densities of the noises that drive the model."""
 
-    place: float = 0.0005
-    """m, standard deviation of a position per axis; 0.5 mm for good motion capture."""
+    place: float | None = None
+    """m, standard deviation of a position per axis; None: the filter measures it from its poses.
+
+    Cameras differ from 0.03 to 0.5 mm, and the gains depend on the ratio of jerk and noise.
+    """
     angle: float = math.radians(0.25)
     """rad, standard deviation of an attitude per axis; 0.25 deg for good motion capture."""
     jerk: float = 0.1
     """m2/s5, density of n_j: a thrust that is 10 % wrong for about 0.1 s while the jerk is 10 m/s3.
 
-    Without commands d must follow the whole jerk: then use 0.1 for figure eights at 1 m/s, and 3 at
-    2 m/s.
+    Without commands d must follow the whole jerk. The same density is then the best from 0.1 to 2 m/s
+    and from 25 to 240 Hz, if `place` is right.
     """
     push: float = 3e-5
     """m2/s3, density of n_s: the error of f from an attitude that is wrong behind the filter.
@@ -73,9 +77,10 @@ class KalmanFilter(RowFilter):
 
     A pose is refused, and counts as missing, if it is not finite, if the length of its quaternion is
     outside 0.5 to 2, or if it is beyond the gate: |e|^2 / variance of its innovation e exceeds
-    KALMAN_GATE.chi_square in position or attitude. After KALMAN_GATE.doubts poses in a row beyond the
-    gate the filter accepts the newest: it starts again there, with the velocities that it had. After
-    a gap longer than the horizon it starts again with the mean velocity of the gap.
+    KALMAN_GATE.chi_square in position or attitude; this variance includes a manoeuvre since the pose
+    before. After KALMAN_GATE.doubts poses in a row beyond the gate the filter accepts the newest: it
+    starts again there, with the velocities that it had. After a gap longer than the horizon it starts
+    again with the mean velocity of the gap.
 
     While the thrust does not lift a drone from the floor, its velocity and d are zero.
 
@@ -113,7 +118,9 @@ class KalmanFilter(RowFilter):
 
     def _set_noise(self, noise: KalmanNoise) -> None:
         """Write the noise into the record."""
-        self._row["place_variance"] = noise.place**2
+        place = PLACE_NOISE.start if noise.place is None else noise.place
+        self._row["measures_noise"] = noise.place is None
+        self._row["place_variance"] = place**2
         self._row["attitude_variance"] = noise.angle**2
         self._row["jerk_density"] = noise.jerk
         self._row["push_density"] = noise.push

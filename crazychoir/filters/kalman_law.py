@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from crazychoir.filters.command_history import advance_state, record_command
 from crazychoir.filters.motion import compute_speed, is_standing
+from crazychoir.filters.place_noise import measure_place_noise
 from crazychoir.filters.poses import POSE_TIMING, is_readable, time_pose
 from crazychoir.filters.rows import FilterRow
 from crazychoir.numerics.kernels import kernel
@@ -26,8 +27,15 @@ class KalmanGate(NamedTuple):
     """Chi-square of 3 degrees of freedom: one good pose of 65 000 is beyond it."""
     place_slack: float = 0.002
     """Standard deviation in m that a manoeuvre adds, for the gate only."""
+    jerk_slack: float = 10.0
+    """Standard deviation in m/s3 of a jerk that lasts from pose to pose, for the gate only.
+
+    After a gap the drone is where its manoeuvre has carried it: 13 mm off in 0.2 s.
+    """
     angle_slack: float = 0.035
     """Standard deviation in rad that a manoeuvre adds, for the gate only."""
+    spin_slack: float = 5.0
+    """Standard deviation in rad/s2 of an angular acceleration from pose to pose, for the gate only."""
     doubts: int = 5
     """Poses in a row beyond the gate after which the filter is wrong, not the poses."""
 
@@ -193,6 +201,20 @@ def _is_beyond_gate(e: Triple, variance: float) -> bool:
 
 
 @kernel()
+def _compute_place_slack(h: float) -> float:
+    """Return the variance in m2 that a manoeuvre of h s adds for the gate."""
+    jerk_slack = KALMAN_GATE.jerk_slack * h * h * h / 6.0
+    return KALMAN_GATE.place_slack**2 + jerk_slack * jerk_slack
+
+
+@kernel()
+def _compute_angle_slack(h: float) -> float:
+    """Return the variance in rad2 that a manoeuvre of h s adds for the gate."""
+    spin_slack = KALMAN_GATE.spin_slack * h * h / 2.0
+    return KALMAN_GATE.angle_slack**2 + spin_slack * spin_slack
+
+
+@kernel()
 def _correct_state(row: FilterRow, history: Mat, x: Vec, last: float, h: float) -> bool:
     """Correct the state at the last measurement by the pose, and return whether the pose is inside the gate.
 
@@ -214,10 +236,12 @@ def _correct_state(row: FilterRow, history: Mat, x: Vec, last: float, h: float) 
     turn = rotation_logarithm(
         quaternion_product(quaternion_conjugate((x[6], x[7], x[8], x[9])), q)
     )
-    place_variance = first[0] + row.place_variance + KALMAN_GATE.place_slack**2
-    angle_variance = attitude[0] + row.attitude_variance + KALMAN_GATE.angle_slack**2
+    place_variance = first[0] + row.place_variance + _compute_place_slack(h)
+    angle_variance = attitude[0] + row.attitude_variance + _compute_angle_slack(h)
     if _is_beyond_gate(e, place_variance) or _is_beyond_gate(turn, angle_variance):
         return False
+    if row.measures_noise > 0:
+        measure_place_noise(row, h)
     _correct_place(row, x, d, e, first, second)
     if row.knows_commands > 0 and is_standing(
         x, row.command[:], row.platform[:], row.floor_height
@@ -253,6 +277,7 @@ def _start(row: FilterRow, v: Triple, w: Triple, now: float) -> None:
     row.attitude_covariance[1] = 0.0
     row.attitude_covariance[2] = KALMAN_DEVIATIONS.start_turn_rate**2
     row.measured = now - row.pose_age
+    row.even_poses = 0
     row.doubts = 0
     row.state[:] = x
     row.age = 0.0

@@ -22,6 +22,9 @@ class FilterKind(IntEnum):
     """The law of VelocityFilter."""
 
 
+DIFFERENCE_ORDER = 4
+"""Order of the differences of the positions by which their noise is measured."""
+
 FILTER_ROW = np.dtype(
     [
         ("kind", np.int64),  # FilterKind
@@ -41,6 +44,7 @@ FILTER_ROW = np.dtype(
         ("platform", np.float64, (9,)),  # Platform.flat
         # Settings of the Kalman filter.
         ("place_variance", np.float64),  # m2, of a measured position an axis
+        ("measures_noise", np.int64),  # 1 if place_variance follows the poses, else 0
         ("attitude_variance", np.float64),  # rad2, of a measured attitude an axis
         ("jerk_density", np.float64),  # m2/s5, of n_j
         ("push_density", np.float64),  # m2/s3, of n_s
@@ -53,6 +57,10 @@ FILTER_ROW = np.dtype(
         ("disturbance", np.float64, (3,)),  # m/s2: d at the last measurement
         ("place_covariance", np.float64, (6,)),  # of (p, v, d): pp pv pd vv vd dd
         ("attitude_covariance", np.float64, (3,)),  # of (a, w): aa aw ww
+        ("place_differences", np.float64, (DIFFERENCE_ORDER, 3)),  # m, of orders 0 to 3
+        ("pose_interval", np.float64),  # s, between the last two poses
+        ("even_poses", np.int64),  # newest poses at even intervals
+        ("noise_measurements", np.int64),  # of place_variance, at most its memory
         ("doubts", np.int64),  # poses beyond the gate since the last accepted pose
         ("call_time", np.float64),  # s, of the last tick
         ("newest_command", np.int64),  # index of the newest command of the history

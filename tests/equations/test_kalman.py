@@ -75,6 +75,17 @@ def test_position_and_its_covariance_are_those_of_the_textbook_at_uneven_steps(
         )
 
 
+def test_the_measured_noise_is_the_mean_of_the_squared_fourth_differences():
+    draw = np.random.default_rng(4)
+    f = KalmanFilter(period=0.01)
+    p = 2e-4 * draw.standard_normal((60, 3))
+    for k, place in enumerate(p):
+        f.update(Pose(np.array([*place, 0.0, 0.0, 0.0, 1.0])), 0.01 * k)
+    differences = np.diff(p[1:], 4, axis=0)  # the filter starts at the first pose
+    expected = np.mean((differences**2).sum(axis=1)) / (3.0 * 70.0)
+    assert f._row["place_variance"] == pytest.approx(expected, rel=1e-9)
+
+
 @pytest.mark.parametrize("mean_step", [0.02, 0.01, 1 / 240])
 def test_an_angle_about_one_axis_and_its_covariance_are_those_of_the_textbook(
     mean_step,
