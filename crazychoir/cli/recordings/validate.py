@@ -7,6 +7,10 @@ import typer
 from rich import box
 from rich.table import Table
 
+from crazychoir.cli.recordings.filter_tables import (
+    compare_filters,
+    refuse_other_options,
+)
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch.console import (
     ANSWER_CONSOLE,
@@ -70,6 +74,12 @@ def validate(
             "--fit", help="Also fit the parameters, for each flight to the others."
         ),
     ] = False,
+    filters: Annotated[
+        bool,
+        typer.Option(
+            "--filters", help="Score the velocity filters on the poses, nothing else."
+        ),
+    ] = False,
     picture: Annotated[
         Path | None,
         typer.Option(help="Draw the errors over the time ahead into this file."),
@@ -88,6 +98,13 @@ def validate(
     recorded set-points again in closed loop.
     """
     set_up_logging()
+    if filters:
+        try:
+            refuse_other_options({"--fit": fit, "--picture": picture, "--paths": paths})
+            compare_filters(files, platform, as_json)
+        except CrazyChoirError as error:
+            exit_with_error(error, as_json)
+        return
     from crazychoir.platforms import find_platform
     from crazychoir.simulation.identification.closed_loop import fly_again
     from crazychoir.simulation.identification.closed_loop_scores import (

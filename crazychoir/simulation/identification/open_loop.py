@@ -197,15 +197,15 @@ def _make_inputs(windows: FlightWindows, platform: Platform) -> MotorInputs:
     ceilings = np.zeros(shape)
     for number, flight in enumerate(windows.flights):
         rows = slice(0, len(flight.t))
-        ceilings[number, rows] = _motor_thrust(platform, flight.vbat)
+        ceilings[number, rows] = compute_motor_thrust(platform, flight.vbat)
         volts = flight.duty * flight.vbat[:, None]
         commands[number, rows] = (
-            _motor_thrust(platform, volts) / platform.firmware.thrust_max
+            compute_motor_thrust(platform, volts) / platform.firmware.thrust_max
         )
     return MotorInputs(commands, ceilings)
 
 
-def _motor_thrust(platform: Platform, volts: Vec) -> Vec:
+def compute_motor_thrust(platform: Platform, volts: Vec) -> Vec:
     """Return the thrust in N of a motor at these voltages, by the platform's curve."""
     c0, c1, c2, c3 = platform.rotor.voltage
     return np.maximum(c0 + volts * (c1 + volts * (c2 + volts * c3)), 0.0)

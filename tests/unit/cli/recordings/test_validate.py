@@ -66,3 +66,36 @@ def test_what_cannot_be_compared_is_refused(validate, arguments, reason):
     done = validate(*arguments, "--json")
     assert done.exit_code == 2
     assert reason in json.loads(done.stdout)["error"]
+
+
+def test_the_filters_are_scored_on_the_recorded_poses(validate):
+    done = validate(*FLIGHTS, "--filters")
+    assert done.exit_code == 0
+    for words in ("kalman, no commands", "200 ms", "B7_oval_slow_rep3", "240"):
+        assert words in done.stdout
+    answer = json.loads(validate(*FLIGHTS, "--filters", "--json").stdout)
+    assert answer["success"]
+    assert answer["flights"] == ["B2_circle_fast_rep3", "B7_oval_slow_rep3"]
+    errors = {
+        (row["filter"], row["rate_hz"], row["gaps"]): row for row in answer["filters"]
+    }
+    assert len(errors) == 4 * 3 * 3
+    row = errors["kalman, no commands", 100, "no gaps"]
+    assert row["velocity_mm_s"] < 10.0
+    assert len(row["velocity_mm_s_of_flights"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["none.npz", "--filters"], "none.npz"),
+        ([FLIGHTS[0], "--filters", "--fit"], "--fit beside it"),
+        ([FLIGHTS[0], "--filters", "--picture", "a.png"], "--picture beside it"),
+        ([FLIGHTS[0], "--filters", "--paths", "a.png"], "--paths beside it"),
+        ([FLIGHTS[0], "--filters", "--platform", "cf99"], "--platform"),
+    ],
+)
+def test_filters_that_cannot_be_scored_are_refused(validate, arguments, reason):
+    done = validate(*arguments, "--json")
+    assert done.exit_code == 2
+    assert reason in json.loads(done.stdout)["error"]
