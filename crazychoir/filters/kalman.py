@@ -25,8 +25,8 @@ class KalmanNoise:
     jerk: float = 0.1
     """m2/s5, density of n_j: a thrust that is 10 % wrong for about 0.1 s while the jerk is 10 m/s3.
 
-    Without commands d must follow the whole jerk. The same density is then the best from 0.1 to 2 m/s
-    and from 25 to 240 Hz, if `place` is right.
+    Without commands d must follow the whole jerk. If `place` is right and at most 0.5 mm, the same
+    density is then within 20 % of the best, in slow and fast flights and from 25 to 240 Hz.
     """
     push: float = 3e-5
     """m2/s3, density of n_s: the error of f from an attitude that is wrong behind the filter.
