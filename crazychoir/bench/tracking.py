@@ -52,8 +52,14 @@ TRACKING_BENCH = TrackingBenchSettings()
 
 
 NOMINAL_CORNER = "nominal"
+TYPICAL_CORNER = "typical drone"
 TRACKING_URIS = {"lightweight": "sim://", "motors": "sim://motors"}
-CAMERA_ERRORS = {"noise": 0.0005, "noise_angle": math.radians(0.25), "latency": 0.01}
+CAMERA_ERRORS = {
+    "noise": 0.0005,
+    "noise_angle": math.radians(0.25),
+    "latency": 0.01,
+    "tilt_spread": 0.0,
+}
 """Errors of the cameras: m, rad, s."""
 
 Say = Callable[[str], None]
@@ -174,6 +180,7 @@ def tracking_swarm(
     name: Path,
     home: tuple[float, float, float],
     corner: ModelCorner | None = None,
+    imperfections: float = 0.0,
 ) -> SwarmConfig:
     """Return one Crazyflie 2.1 with the mission `figure`, in still air.
 
@@ -181,6 +188,7 @@ def tracking_swarm(
     name: path
     home: (3,) m, world
     corner: errors of its model, None for none
+    imperfections: 0 for a perfect drone, 1 for a typical one
     """
     exact = {
         "command_delay": TRACKING_BENCH.command_delay if plant == "motors" else 0.0,
@@ -207,6 +215,7 @@ def tracking_swarm(
             ],
             "flight": {"speed_limit": 2.5, "acceleration_limit": 5.0},
             "mocap": {**CAMERA_ERRORS, **tilt},
+            "motors": {"imperfections": imperfections},
             "plant": {**exact, **off},
         }
     )
@@ -280,12 +289,15 @@ def standard_controllers(plant: Plant) -> Controls:
 # The whole stack: cameras, filter, pilot, controllers, firmware, rotors, in virtual time -----------------------------
 
 
-def fly_whole_stack(name: Path, corner: ModelCorner | None = None) -> Errors | None:
+def fly_whole_stack(
+    name: Path, corner: ModelCorner | None = None, imperfections: float = 0.0
+) -> Errors | None:
     """Return the errors of the mission `figure` flown by an agent.
 
     None if the drone is lost, or if it has not flown all the time that counts.
+    imperfections: 0 for a perfect drone, 1 for a typical one
     """
-    config = tracking_swarm("motors", name, (0.0, 0.0, 0.0), corner)
+    config = tracking_swarm("motors", name, (0.0, 0.0, 0.0), corner, imperfections)
 
     async def main(clock: Clock) -> Errors | None:
         agent = Agent(clock, config, load_mission("figure"), config.ids)
@@ -367,6 +379,15 @@ def _rows(quick: bool, say: Say) -> Iterator[TrackingRow]:
         say(f"whole stack, {name}")
         yield tracking_row(
             "full", name, "standard", NOMINAL_CORNER, fly_whole_stack(name)
+        )
+    for name in TRACKING_PATHS:
+        say(f"whole stack, typical drone, {name}")
+        yield tracking_row(
+            "full",
+            name,
+            "standard",
+            TYPICAL_CORNER,
+            fly_whole_stack(name, imperfections=1.0),
         )
     for corner in MODEL_CORNERS[:2] if quick else MODEL_CORNERS:
         say(f"whole stack, eight-1, {corner.name}")

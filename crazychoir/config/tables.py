@@ -457,9 +457,9 @@ class MocapTable(SwarmTable, frozen=True, kw_only=True):
 
     rate: Hertz = 100.0
     """Hz: poses a second."""
-    noise: Metres = 0.0005
+    noise: Metres = 0.0001
     """m: standard deviation of the position, for each axis."""
-    noise_angle: Turn = 0.001
+    noise_angle: Turn = 0.00175
     """rad: standard deviation of the attitude, for each axis."""
     dropout: Probability = 0.0
     """Probability that a pose is missing."""
@@ -467,7 +467,7 @@ class MocapTable(SwarmTable, frozen=True, kw_only=True):
     """s: age of a pose when it arrives, in whole periods of the rate."""
     tilt: Tilt = (0.0, 0.0)
     """(2,) rad, roll, pitch: angles by which the tracked body is mounted askew on the drone."""
-    tilt_spread: Turn = 0.0
+    tilt_spread: Turn = 0.005
     """rad: standard deviation of such angles that differ from drone to drone."""
     source: Source = "virtual"
     """Motion capture system."""
@@ -577,7 +577,7 @@ class MotorsTable(SwarmTable, frozen=True, kw_only=True):
     """Factor on the noise of the inertial sensors; 1 is the data sheet's."""
     floor_tilt: Tilt = (0.0, 0.0)
     """(2,) rad, roll, pitch about the world's axes: tilt of the floor below each drone."""
-    imperfections: Factor = 0.0
+    imperfections: Factor = 1.0
     """Factor on all keys below but worn_battery: 1 for a typical drone, 0 for a perfect one."""
     speed_moment: SpeedMoment = 34.0
     """rad/s2 per m/s: angular acceleration that speed makes, see simulation/README.md."""

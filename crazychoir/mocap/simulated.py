@@ -49,9 +49,9 @@ def _disturb(
 class CameraErrors:
     """Errors with which the cameras measure the poses of the drones."""
 
-    noise_p: float = 0.0005
+    noise_p: float = 0.0001
     """m, standard deviation of n_p per axis."""
-    noise_angle: float = 0.002
+    noise_angle: float = 0.00175
     """rad, standard deviation of n_angle per axis."""
     dropout: float = 0.0
     """Probability that a drone is not seen in a tick."""

@@ -18,6 +18,10 @@ from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.rules.modes import Mode
 
 TICK = 0.01
+PERFECT = {"imperfections": 0.0}
+"""The table [motors] for drones that obey their controllers exactly: what is measured is the controllers."""
+STRAIGHT = {"tilt_spread": 0.0}
+"""Keys of [mocap] for bodies that are mounted straight."""
 
 
 @dataclass(
@@ -107,7 +111,7 @@ class Does(CFGuidance):
 
 
 def swarm_of(rows: list[tuple[str, str]], yaw: float, **tables: Any) -> SwarmConfig:
-    """Whole drones 1.5 m apart, row by row of (platform, sender)."""
+    """Whole drones 1.5 m apart, row by row of (platform, sender): perfect ones without other tables."""
     drones = [
         {
             "id": k,
@@ -124,9 +128,8 @@ def swarm_of(rows: list[tuple[str, str]], yaw: float, **tables: Any) -> SwarmCon
         for sender in dict.fromkeys(sender for _, sender in rows)
     ]
     fence = {"min": [-3.0, -3.0, 0.0], "max": [9.0, 9.0, 3.0]}
-    return SwarmConfig.of(
-        {"name": "whole", "drones": drones, "roles": roles, "fence": fence, **tables}
-    )
+    whole = {"name": "whole", "drones": drones, "roles": roles, "fence": fence}
+    return SwarmConfig.of({**whole, "motors": PERFECT, "mocap": STRAIGHT, **tables})
 
 
 def scattered(seed: int) -> SwarmConfig:

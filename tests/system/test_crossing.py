@@ -166,7 +166,10 @@ def test_two_fast_drones_do_not_touch_whenever_their_link_fails(seed):
         duration=6.0,
         speed=3.0,
     )
-    config = config.replace(flight={"speed_limit": 3.0, "acceleration_limit": 6.0})
+    config = config.replace(
+        flight={"speed_limit": 3.0, "acceleration_limit": 6.0},
+        mocap={"tilt_spread": 0.0},
+    )
 
     def fly_until(at):
         flights = fly(

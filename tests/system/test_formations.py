@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from system.flights import PERFECT, STRAIGHT
 
 from crazychoir.bench.formation import (
     FORMATION_CASES,
@@ -209,7 +210,10 @@ def test_followers_of_leaders_on_a_circle_are_within_2_mm(uri):
         for d in config.drones
     ]
     config = config.replace(
-        drones=drones, mission_options=config.mission_options | {"duration": 20.0}
+        drones=drones,
+        motors=PERFECT,
+        mocap=STRAIGHT,
+        mission_options=config.mission_options | {"duration": 20.0},
     )
     mission, rows = load_mission("bearing_formation"), []
 

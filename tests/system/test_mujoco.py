@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from system.commands import run
+from system.flights import PERFECT, STRAIGHT
 
 from crazychoir.errors import ConfigError
 from crazychoir.simulation.mujoco.film import _make_context
@@ -57,6 +58,8 @@ def folder(tmp_path_factory):
         "seed": 1,
         "graph": "empty",
         "mujoco": {"scene": "room.xml"},
+        "motors": PERFECT,
+        "mocap": STRAIGHT,
         "drones": [
             {
                 "id": k,

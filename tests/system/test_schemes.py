@@ -130,7 +130,9 @@ def test_a_row_moves_on_together_though_one_is_slow_and_messages_are_lost(monkey
 def test_a_row_waits_for_a_drone_that_its_operator_holds():
     mission = load_mission("mpc")
     options = {"shift": [1.5, 0.0], "duration": 14.0}
-    config = mission.swarm(None).replace(flight=QUICK, mission_options=options)
+    config = mission.swarm(None).replace(
+        flight=QUICK, mission_options=options, mocap={"tilt_spread": 0.0}
+    )
 
     async def main(clock):
         agent = Agent(clock, config, mission, config.ids)

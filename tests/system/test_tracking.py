@@ -101,6 +101,6 @@ def test_a_drawn_word_is_flown_within_its_limits(tmp_path):
     assert result["acceleration_m_s2"] <= config.flight.acceleration_limit
     assert result["deviation_mm"] < 15.0
     flown = recorded_flight(read(path, FLIGHT_TOPICS)).figures()["drones"][0]
-    assert flown["tracking_rmse_m"] < 0.005
+    assert flown["tracking_rmse_m"] < 0.025, "18 mm; without imperfections 3 mm"
     assert flown["fastest_m_s"] < 1.05 * config.flight.speed_limit
     assert result["drawing_s"] > 20.0

@@ -128,7 +128,7 @@ from crazychoir import CFGuidance
 
 def goal(config):
     ids = config.ids
-    return {i: np.add(config.drone(ids[k - 1]).home, [0.0, 0.0, 0.4 + 0.4 * k]) for k, i in enumerate(ids)}
+    return {i: np.add(config.drone(ids[k - 1]).home, [0.0, 0.0, 0.4 + 0.7 * k]) for k, i in enumerate(ids)}
 
 
 class Hop(CFGuidance):

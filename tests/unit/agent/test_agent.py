@@ -50,8 +50,12 @@ def mission_of(does):
     return SimpleNamespace(guidance=lambda i, config: Does(does))
 
 
+STRAIGHT = {"tilt_spread": 0.0}
+"""Keys of [mocap] for drones that need no time to learn how their markers are mounted."""
+
+
 def swarm(n, **changes):
-    return default_swarm(n).replace(flight=BRISK, **changes)
+    return default_swarm(n).replace(flight=BRISK, mocap=STRAIGHT, **changes)
 
 
 async def observe(agent, topic, drone=0):
@@ -269,7 +273,7 @@ def ended(does, at=None, act=lambda agent: None, drones=1, seconds=60.0, **fligh
     """The results, the agent, and (phase, ...) of drone 0; `act` on the agent at some time."""
 
     async def main(clock):
-        config = default_swarm(drones).replace(flight=BRISK | flight)
+        config = default_swarm(drones).replace(flight=BRISK | flight, mocap=STRAIGHT)
         agent = Agent(clock, config, mission_of(does), config.ids)
         phases = [agent.drones[0].pilot.mode]
 

@@ -488,7 +488,12 @@ def test_an_owner_that_cannot_go_on_ends_with_the_reason(how, caplog):
 
 def test_the_cameras_of_a_world_see_its_drones_tilted_as_the_swarm_file_says():
     """All of [mocap] reaches them, and the pose that the drone's own estimator is told is tilted too."""
-    mocap = {"noise": 0.0, "noise_angle": 0.0, "tilt": [0.02, -0.03]}
+    mocap = {
+        "noise": 0.0,
+        "noise_angle": 0.0,
+        "tilt": [0.02, -0.03],
+        "tilt_spread": 0.0,
+    }
     drone = {"id": 0, "home": [0.0, 0.0, 0.0], "uri": WORLD_URIS.motor_level}
     config = SwarmConfig.of({"name": "a", "drones": [drone], "mocap": mocap})
 

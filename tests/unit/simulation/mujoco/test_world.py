@@ -40,7 +40,9 @@ def swarm(n=1, **tables):
         for k in range(n)
     ]
     fence = {"min": [-5.0, -5.0, 0.0], "max": [5.0, 5.0, 3.0]}
-    return SwarmConfig.of({"name": "a", "drones": drones, "fence": fence, **tables})
+    perfect = {"imperfections": 0.0}
+    whole = {"name": "a", "drones": drones, "fence": fence, "motors": perfect}
+    return SwarmConfig.of({**whole, **tables})
 
 
 def in_mujoco(n=1, **tables):
