@@ -194,7 +194,7 @@ def test_a_wheel_has_one_package_its_types_and_its_licence(wheel):
     }
     assert {
         "crazychoir/py.typed",
-        "crazychoir/radio/virtual/names.txt",
+        "crazychoir/radio/virtual/names.csv",
         "crazychoir/dashboard/static/page.js",
     } <= set(names)
     assert "crazychoir-0.1.0.dist-info/licenses/LICENSE" in names

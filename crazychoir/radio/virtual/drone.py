@@ -5,7 +5,7 @@ It takes packets, returns answers, and sends logs and texts as time passes.
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from crazychoir.platforms import Platform
 from crazychoir.radio.protocol.crtp import (
@@ -18,7 +18,7 @@ from crazychoir.radio.virtual.memories import MemoryService
 from crazychoir.radio.virtual.parameters import ParameterService
 from crazychoir.radio.virtual.power import PowerManagement
 from crazychoir.radio.virtual.readings import make_readings
-from crazychoir.radio.virtual.toc import read_firmware_names
+from crazychoir.radio.virtual.tables import tables_of
 from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES
 from crazychoir.simulation.onboard.logs import FIRMWARE_LOG_READERS
 from crazychoir.simulation.onboard.onboard import Onboard
@@ -160,18 +160,10 @@ class VirtualCrazyflie:
     def _start(self) -> None:
         me = self.identity
         on = self.onboard
-        logs, parameters = read_firmware_names()
+        tables = tables_of(me.decks, on.firmware)
         self.starts += 1
         self.power = PowerManagement()
-        levels = {
-            "pm.lowVoltage": on.firmware.low,
-            "pm.criticalLowVoltage": on.firmware.critical,
-        }
-        of_platform = (
-            replace(e, boot=levels[e.full]) if e.full in levels else e
-            for e in parameters
-        )
-        self.parameters = ParameterService(on, tuple(of_platform), self.kept.parameters)
+        self.parameters = ParameterService(on, tables.parameters, self.kept.parameters)
         for deck in me.decks:
             self.parameters.set(f"deck.{deck}", 1.0)
         self.memories = MemoryService(on, self.kept.memories, me.number)
@@ -183,20 +175,19 @@ class VirtualCrazyflie:
             self.parameters.read,
             self.parameters.set,
         )
-        more = make_readings(self)
-        served = tuple(
-            entry
-            for entry in logs
-            if entry.full in FIRMWARE_LOG_READERS or entry.full in more
-        )
-        self.logs = LogService(
-            served, lambda name: more[name]() if name in more else on.log(name)
-        )
+        self._readings = make_readings(self)
+        self.logs = LogService(tables.logs, self.read_log)
         self._said: list[Packet] = []
         self.say("SYS: ----------------------------\n")
         self.say(
             f"SYS: {me.device} is up and running!\nSYS: Build {me.release} (virtual)\n"
         )
+
+    def read_log(self, name: str) -> float:
+        """Return a log variable; 0 if neither the drone nor the firmware model computes it."""
+        if name in self._readings:
+            return self._readings[name]()
+        return self.onboard.log(name) if name in FIRMWARE_LOG_READERS else 0.0
 
     def restart(self, why: str = "") -> None:
         """Switch the drone off and on.

@@ -113,20 +113,21 @@ class LogBlock:
         return sum(struct.calcsize(letter) for _, letter in self.variables)
 
 
+def make_log_toc(entries: tuple[TocEntry, ...]) -> Toc:
+    """Return the table of these log variables."""
+    limits = bytes([LOG_LIMITS.blocks, LOG_LIMITS.variables])
+    return Toc(CrtpPort.LOG, entries, LOG_TYPES, limits)
+
+
 class LogService:
     """The log blocks that clients have asked for.
 
-    entries: log variables of the table of contents
+    toc: table of the log variables
     read: returns the current value of a log variable by name
     """
 
-    def __init__(self, entries: tuple[TocEntry, ...], read: ReadVariable) -> None:
-        self.toc = Toc(
-            CrtpPort.LOG,
-            entries,
-            LOG_TYPES,
-            bytes([LOG_LIMITS.blocks, LOG_LIMITS.variables]),
-        )
+    def __init__(self, toc: Toc, read: ReadVariable) -> None:
+        self.toc = toc
         self.read = read
         self.blocks: dict[int, LogBlock] = {}
 

@@ -78,23 +78,29 @@ class StorageAnswers:
 STORAGE_ANSWERS = StorageAnswers()
 
 
+def make_parameter_toc(entries: tuple[TocEntry, ...]) -> Toc:
+    """Return the table of these parameters."""
+    return Toc(CrtpPort.PARAMETERS, entries, PARAM_TYPES)
+
+
 class ParameterService:
     """Parameters by name.
 
     onboard: model of the firmware
-    entries: parameters of the table of contents
+    toc: table of the parameters
     stored: values that survive a restart, as in the drone's own memory
     """
 
     def __init__(
         self,
         onboard: Onboard,
-        entries: tuple[TocEntry, ...],
+        toc: Toc,
         stored: dict[str, float] | None = None,
     ) -> None:
         self.onboard = onboard
-        self.toc = Toc(CrtpPort.PARAMETERS, entries, PARAM_TYPES)
-        self.values = {entry.full: entry.boot for entry in entries}
+        self.toc = toc
+        self.values: dict[str, float] = {}
+        """Values that were set since the start, by name."""
         self.stored = {} if stored is None else stored
         self._channels: tuple[Callable[[bytes], Iterator[Packet]], ...] = (
             self.toc.take,
@@ -102,9 +108,9 @@ class ParameterService:
             self._write,
             self._do_command,
         )
-        for entry in entries:
-            if not entry.read_only and entry.full in self.stored:
-                self.set(entry.full, self.stored[entry.full])
+        for name, value in self.stored.items():
+            if name in toc.index:
+                self.set(name, value)
 
     def take(self, packet: Packet) -> Iterator[Packet]:
         """Return the answers to a packet."""
@@ -116,7 +122,11 @@ class ParameterService:
 
     def read(self, name: str) -> float:
         """Return the current value of a parameter in the table of contents."""
-        return self.onboard.get(name) if name in PARAMETER_PLACES else self.values[name]
+        if name in PARAMETER_PLACES:
+            return self.onboard.get(name)
+        if name in self.values:
+            return self.values[name]
+        return self.toc.entries[self.toc.index[name]].boot
 
     def set(self, name: str, value: float) -> None:
         """Set a parameter, even a read-only one, as the firmware itself does.
@@ -167,8 +177,7 @@ class ParameterService:
 
         The firmware does this as soon as the reset has begun.
         """
-        if self.values[RESET_ESTIMATION]:
-            self.values[RESET_ESTIMATION] = 0.0
+        if self.values.pop(RESET_ESTIMATION, 0.0):
             index = self.toc.index[RESET_ESTIMATION].to_bytes(2, "little")
             yield Packet(
                 CrtpPort.PARAMETERS,
@@ -268,7 +277,7 @@ class ParameterService:
         entry = self._found(body)
         if entry is None or not entry.persistent:
             return bytes([ParameterResult.ENOENT])
-        default = pack_parameter(entry, entry.boot)
+        default = pack_parameter(entry, entry.default)
         if entry.full not in self.stored:
             return bytes([STORAGE_ANSWERS.not_stored]) + default
         return (
@@ -281,7 +290,9 @@ class ParameterService:
         entry = self._found(body)
         if entry is None or entry.read_only:
             return bytes([ParameterResult.ENOENT])
-        return bytes([ParameterResult.OK] * second) + pack_parameter(entry, entry.boot)
+        return bytes([ParameterResult.OK] * second) + pack_parameter(
+            entry, entry.default
+        )
 
 
 def pack_parameter(entry: TocEntry, value: float) -> bytes:

@@ -78,8 +78,6 @@ def _battery_readings(me: DroneParts) -> Readings:
     return {
         "pm.state": lambda: me.power.state(me.uptime),
         "pm.batteryLevel": lambda: battery_level(me.onboard.log("pm.vbat")),
-        "pm.extVbat": lambda: 0.0,
-        "pm.chargeCurrent": lambda: 0.0,
     }
 
 
@@ -92,7 +90,6 @@ def _link_readings(me: DroneParts) -> Readings:
     return {
         "radio.rssi": lambda: FIXED_READINGS.rssi,
         "radio.numRxUc": lambda: float(me.received & 0xFFFF),
-        "radio.numRxBc": lambda: 0.0,
         "radio.isConnected": lambda: 1.0,
         "crtp.rxRate": lambda: me.rates[0],
         "crtp.txRate": lambda: me.rates[1],
@@ -183,6 +180,4 @@ def _deck_readings(me: DroneParts) -> Readings:
         "lighthouse.status": lambda: FIXED_READINGS.lighthouse_status * me.positioned,
         "motion.squal": lambda: 100.0 * ("bcFlow2" in me.decks),
         "motion.motion": lambda: 176.0 * ("bcFlow2" in me.decks),
-        "motion.deltaX": lambda: 0.0,
-        "motion.deltaY": lambda: 0.0,
     }

@@ -1,8 +1,9 @@
 """Tables of contents: the names of a drone's log variables and parameters, and their packets."""
 
+import csv
 import struct
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cache
@@ -61,6 +62,19 @@ class TypeFlag(IntEnum):
     """The parameter cannot be written."""
 
 
+@dataclass(frozen=True, slots=True)
+class DeckConditions:
+    """Values of the column `deck` of names.csv that are no names of decks."""
+
+    always: str = ""
+    """The firmware has the entry with or without decks."""
+    any_deck: str = "any"
+    """The firmware has the entry with any deck."""
+
+
+DECK_CONDITIONS = DeckConditions()
+
+
 @dataclass(frozen=True)
 class TocEntry:
     """One entry of a table."""
@@ -77,6 +91,11 @@ class TocEntry:
     """True if clients cannot write the parameter."""
     boot: float = 0.0
     """Value of a parameter after a start."""
+    default: float = 0.0
+    """Default value of a parameter, as the drone answers a request for it."""
+    deck: str = DECK_CONDITIONS.always
+    """Names of the decks with which the drone has the entry, separated by "|", or one of
+    DECK_CONDITIONS."""
 
     @property
     def full(self) -> str:
@@ -88,36 +107,42 @@ class TocEntry:
         """Letter of its type in struct."""
         return STRUCT_LETTERS[self.kind]
 
+    def is_on_board(self, decks: Sequence[str]) -> bool:
+        """Return whether a drone with these decks has the entry."""
+        if self.deck == DECK_CONDITIONS.always:
+            return True
+        if self.deck == DECK_CONDITIONS.any_deck:
+            return bool(decks)
+        return not set(self.deck.split("|")).isdisjoint(decks)
+
 
 @cache
 def read_firmware_names() -> tuple[tuple[TocEntry, ...], tuple[TocEntry, ...]]:
-    """Return log variables and parameters of the firmware, in the order of their indices."""
-    logs: list[TocEntry] = []
-    parameters: list[TocEntry] = []
-    for line in (
-        (files("crazychoir.radio.virtual") / "names.txt")
-        .read_text(encoding="utf-8")
-        .splitlines()
-    ):
-        if not line.startswith("#"):
-            which, group, *items = line.split()
-            (logs if which == "L" else parameters).extend(
-                _parse_entry(group, item) for item in items
-            )
-    return _sort_entries(logs), _sort_entries(parameters)
+    """Return log variables and parameters of the firmware with all decks, by group and name."""
+    text = (files("crazychoir.radio.virtual") / "names.csv").read_text(encoding="utf-8")
+    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    rows = list(csv.DictReader(lines))
+    return _parse_entries(rows, "log"), _parse_entries(rows, "parameter")
 
 
-def _sort_entries(entries: list[TocEntry]) -> tuple[TocEntry, ...]:
-    """Return the entries sorted by group and name, as the firmware has them."""
+def _parse_entries(rows: list[dict[str, str]], table: str) -> tuple[TocEntry, ...]:
+    """Return the entries of a table, sorted by group and name, as the firmware has them."""
+    entries = [_parse_entry(row) for row in rows if row["table"] == table]
     return tuple(sorted(entries, key=lambda entry: (entry.group, entry.name)))
 
 
-def _parse_entry(group: str, item: str) -> TocEntry:
-    """Return the entry of a text "name:type*!=boot"; the last three parts are optional."""
-    name, _, rest = item.partition(":")
-    kind, _, boot = rest.partition("=")
+def _parse_entry(row: dict[str, str]) -> TocEntry:
+    """Return the entry of a row of names.csv; an empty default is the value after a start."""
+    boot = float(row["boot"] or 0.0)
     return TocEntry(
-        group, name, kind.rstrip("*!"), "*" in kind, "!" in kind, float(boot or 0.0)
+        group=row["group"],
+        name=row["name"],
+        kind=row["type"],
+        persistent=row["persistent"] == "yes",
+        read_only=row["access"] == "ro",
+        boot=boot,
+        default=float(row["default"] or boot),
+        deck=row["deck"],
     )
 
 
@@ -141,6 +166,9 @@ class Toc:
         self.entries = tuple(entries)
         self._kinds = kinds
         self._info = info
+        self._items = tuple(
+            self._pack_item(k, entry) for k, entry in enumerate(self.entries)
+        )
         self.index = {entry.full: k for k, entry in enumerate(self.entries)}
         self.crc = 0
         for entry in self.entries:
@@ -170,9 +198,9 @@ class Toc:
 
     def _item(self, k: int) -> bytes:
         """Return the answer for entry k; only the command if there is no such entry."""
-        if k >= len(self.entries):
-            return bytes([TocCommand.ITEM])
-        entry = self.entries[k]
+        return self._items[k] if k < len(self._items) else bytes([TocCommand.ITEM])
+
+    def _pack_item(self, k: int, entry: TocEntry) -> bytes:
         return (
             struct.pack("<BHB", TocCommand.ITEM, k, self.kind(entry))
             + f"{entry.group}\0{entry.name}\0".encode()

@@ -46,7 +46,7 @@ def _table(drone, port):
 
 
 def test_the_tables_have_what_programs_ask_for_once_each():
-    drone = Hangar().drone
+    drone = Hangar(decks=("bcFlow2", "bcLedRing")).drone
     log_crc, logs = _table(drone, CrtpPort.LOG)
     param_crc, parameters = _table(drone, CrtpPort.PARAMETERS)
     assert log_crc != param_crc
