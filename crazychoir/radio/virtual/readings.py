@@ -117,6 +117,8 @@ def _sensor_readings(me: DroneParts) -> Readings:
         "sys.testLogParam": lambda: me.parameters.read("system.testLogParam"),
         "stabilizer.intToOut": lambda: 1000.0,
         "stabilizer.rtStab": lambda: 1000.0,
+        "kalman.rtUpdate": lambda: 1000.0,
+        "kalman.rtPred": lambda: 100.0,
     }
 
 
@@ -131,13 +133,14 @@ def _estimator_readings(me: DroneParts) -> Readings:
         return lambda: factor * log(name)
 
     axes = ("x", "y", "z", "vx", "vy", "vz", "ax", "ay", "az")
-    rates = {"Roll": "x", "Pitch": "y", "Yaw": "z"}
+    # The firmware's pitch is positive nose up, so its rate is that about -y.
+    rates = {"Roll": ("x", 1.0), "Pitch": ("y", -1.0), "Yaw": ("z", 1.0)}
     degree = math.pi / 180.0
     return {
         "stateEstimateZ.quat": turned,
         **{
-            f"stateEstimateZ.rate{name}": scaled(f"gyro.{axis}", 1000.0 * degree)
-            for name, axis in rates.items()
+            f"stateEstimateZ.rate{name}": scaled(f"gyro.{axis}", sign * 1000.0 * degree)
+            for name, (axis, sign) in rates.items()
         },
         **{
             f"ctrltargetZ.{name}": scaled(f"ctrltarget.{name}", 1000.0) for name in axes
@@ -146,8 +149,8 @@ def _estimator_readings(me: DroneParts) -> Readings:
         "controller.accelz": scaled("acc.z", 1.0),
         "controller.ctr_yaw": scaled("controller.cmd_yaw", 1.0),
         **{
-            f"controller.r_{name.lower()}": scaled(f"gyro.{axis}", degree)
-            for name, axis in rates.items()
+            f"controller.r_{name.lower()}": scaled(f"gyro.{axis}", sign * degree)
+            for name, (axis, sign) in rates.items()
         },
     }
 

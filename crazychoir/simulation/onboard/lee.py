@@ -156,6 +156,14 @@ def control(fw: Record, sp: Record) -> None:
     e = compute_attitude_error(d, fw)
     w = (math.radians(fw.gx), math.radians(fw.gy), math.radians(fw.gz))
     wd = _turn_rates(fw, d, _compute_wanted_rates(fw, sp, d, f))
+    m.ahead_x = d[0][0]
+    m.ahead_y = d[0][1]
+    m.ahead_z = d[0][2]
+    m.left_z = d[1][2]
+    m.up_z = d[2][2]
+    m.wdx = wd[0]
+    m.wdy = wd[1]
+    m.wdz = wd[2]
     ew = (w[0] - wd[0], w[1] - wd[1], w[2] - wd[2])
     m.irx = m.irx + 0.5 * e[0] * CONTROL_PERIOD
     m.iry = m.iry + 0.5 * e[1] * CONTROL_PERIOD

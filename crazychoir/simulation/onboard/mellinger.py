@@ -97,6 +97,9 @@ def control(fw: Record, sp: Record) -> None:
     """
     m = fw.mellinger
     axes, force = _compute_wanted_attitude(fw, sp)
+    m.zdx = axes[2][0]
+    m.zdy = axes[2][1]
+    m.zdz = axes[2][2]
     fw.output = OUTPUT_KINDS.legacy
     fw.thrust = sp.thrust if sp.mode_z == AXIS_MODES.disabled else m.massThrust * force
     if fw.thrust <= 0.0:

@@ -48,11 +48,16 @@ def wrap_degrees(angle: float) -> float:
 
 @kernel()
 def reset(pid: Record, measured: float) -> None:
-    """Reset the integral and the filter; the next derivative is taken from this measurement."""
+    """Reset the integral and the filter; the next derivative is taken from this measurement.
+
+    Log variables show no error until the next pass.
+    """
     pid.integral = 0.0
     pid.previous = measured
     pid.d1 = 0.0
     pid.d2 = 0.0
+    pid.desired = measured
+    pid.slope = 0.0
 
 
 @kernel()
@@ -60,6 +65,8 @@ def _sum_terms(
     pid: Record, desired: float, error: float, slope: float, rate: float
 ) -> float:
     """Return the sum of P, D, the integral including this error, and the feed-forward."""
+    pid.desired = desired
+    pid.slope = slope
     pid.integral += error * (1.0 / rate)
     if pid.i_limit > 0.0:
         pid.integral = clip(pid.integral, -pid.i_limit, pid.i_limit)

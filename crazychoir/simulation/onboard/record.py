@@ -85,9 +85,12 @@ def _integer_fields(names: str) -> list[tuple[str, type]]:
 
 
 pid_fields = np.dtype(
-    _real_fields("kp ki kd kff i_limit limit integral previous d1 d2")
+    _real_fields("kp ki kd kff i_limit limit integral previous d1 d2 desired slope")
 )
-"""Fields of a PID: gains; limits of the integral and of the output (0: none); memory."""
+"""Fields of a PID: gains; limits of the integral and of the output (0: none); memory.
+
+desired and slope (of the measurement) are those of the last pass, for log variables.
+"""
 
 setpoint_fields = np.dtype(
     [
@@ -139,17 +142,22 @@ planner_fields = np.dtype(
 mellinger_fields = np.dtype(
     _real_fields(
         "mass massThrust kp_xy kd_xy ki_xy i_range_xy kp_z kd_z ki_z i_range_z kR_xy kw_xy ki_m_xy i_range_m_xy "
-        "kR_z kw_z ki_m_z i_range_m_z kd_omega_rp ix iy iz imx imy imz wx wy wx_set wy_set fresh"
+        "kR_z kw_z ki_m_z i_range_m_z kd_omega_rp ix iy iz imx imy imz wx wy wx_set wy_set fresh "
+        "zdx zdy zdz"
     )
 )
-"""Fields of Mellinger's controller: parameters; integrals and rates of the last pass."""
+"""Fields of Mellinger's controller: parameters; integrals and rates of the last pass; wanted z_b."""
 lee_fields = np.dtype(
     _real_fields(
         "mass J_x J_y J_z Kpos_Px Kpos_Py Kpos_Pz Kpos_P_limit Kpos_Dx Kpos_Dy Kpos_Dz Kpos_D_limit Kpos_Ix Kpos_Iy "
-        "Kpos_Iz Kpos_I_limit KR_x KR_y KR_z Kw_x Kw_y Kw_z KI_x KI_y KI_z ix iy iz irx iry irz"
+        "Kpos_Iz Kpos_I_limit KR_x KR_y KR_z Kw_x Kw_y Kw_z KI_x KI_y KI_z ix iy iz irx iry irz "
+        "ahead_x ahead_y ahead_z left_z up_z wdx wdy wdz"
     )
 )
-"""Fields of Lee's controller: parameters; integrals."""
+"""Fields of Lee's controller: parameters; integrals; what the log variables need of the last pass.
+
+ahead, left and up are x, y and z of the wanted body axes; wd is the wanted rate in body axes, rad/s.
+"""
 
 PID_NAMES = "roll_rate pitch_rate yaw_rate roll pitch yaw vx vy vz x y z"
 """PIDs of controller 1: rates, attitude, velocity and position."""
