@@ -29,7 +29,7 @@ class ParameterResult(IntEnum):
     OK = 0
     """The request was done."""
     ENOENT = 2
-    """There is no such parameter, or it cannot be stored."""
+    """There is no such parameter, or it cannot be stored and so has no extended type."""
     EACCES = 13
     """The parameter is read-only."""
     EINVAL = 22
@@ -135,7 +135,7 @@ class ParameterService:
         """
         if name in PARAMETER_PLACES or name == RESET_ESTIMATION:
             with suppress(ConfigError):
-                self.onboard.set(name, value)
+                self.onboard.write(name, value)
         self.values[name] = value
 
     def _found(self, data: bytes) -> TocEntry | None:
@@ -225,13 +225,14 @@ class ParameterService:
         )
 
     def _extended_type(self, body: bytes) -> bytes:
-        """Return the result, and whether the parameter can be stored."""
+        """Return the result, and that the parameter can be stored.
+
+        Only parameters that can be stored have an extended type.
+        """
         entry = self._found(body)
-        if entry is None:
+        if entry is None or not entry.persistent:
             return bytes([ParameterResult.ENOENT])
-        return bytes(
-            [ParameterResult.OK, STORAGE_ANSWERS.persistent * entry.persistent]
-        )
+        return bytes([ParameterResult.OK, STORAGE_ANSWERS.persistent])
 
     def _by_name(self, body: bytes) -> Iterator[Packet]:
         """Set a parameter by name; the packet has names, type and value.
@@ -274,8 +275,12 @@ class ParameterService:
         return ParameterResult.OK
 
     def _kept(self, body: bytes) -> bytes:
+        """Return whether a value is stored, the default value, and the stored value.
+
+        The firmware answers this for any parameter, also if it cannot be stored.
+        """
         entry = self._found(body)
-        if entry is None or not entry.persistent:
+        if entry is None:
             return bytes([ParameterResult.ENOENT])
         default = pack_parameter(entry, entry.default)
         if entry.full not in self.stored:

@@ -230,18 +230,22 @@ class Onboard:
 
         Raises ConfigError for an unknown parameter or controller, or a number that is not finite.
         """
+        is_number = not isinstance(value, str) and math.isfinite(value)
+        if name != "stabilizer.controller" and not is_number:
+            raise ConfigError(f"firmware parameter {name}", value, "a finite number")
+        self.write(name, value)
+
+    def write(self, name: str, value: str | float) -> None:
+        """Write a parameter as `set` does; as in the firmware, NaN and infinity are taken too."""
         if name == "stabilizer.controller":
             self._choose(value)
-            return
-        if isinstance(value, str) or not math.isfinite(value):
-            raise ConfigError(f"firmware parameter {name}", value, "a finite number")
-        if name == parameters.RESET_ESTIMATION:
+        elif name == parameters.RESET_ESTIMATION:
             if value:
                 _estimator.reset(self.rows, self.row)
-            return
-        *parts, field = parameters.find_parameter(name)
-        place = self.record[parts[0]] if parts else self.record
-        place[field] = value
+        else:
+            *parts, field = parameters.find_parameter(name)
+            place = self.record[parts[0]] if parts else self.record
+            place[field] = value
 
     def get(self, name: str) -> float:
         """Read a parameter by the firmware's name."""

@@ -131,3 +131,29 @@ def test_drones_with_the_same_decks_share_their_tables():
     assert first.parameters.toc is second.parameters.toc
     second.parameters.set("led.bitmask", 3.0)
     assert first.parameters.read("led.bitmask") == 0.0
+
+
+def test_each_parameter_has_a_state_and_only_persistent_ones_an_extended_type():
+    drone = Hangar().drone
+    found = fetch_table(drone, CrtpPort.PARAMETERS)
+    for row in read_rows("parameter", ""):
+        name = f"{row['group']}.{row['name']}"
+        index = found[name][0].to_bytes(2, "little")
+        size = struct.calcsize(PARAMETER_TYPES[row["type"]][1])
+        state = ask(drone, 3, b"\x04", index)[3:]
+        assert (state[:1], len(state)) == (b"\0", 1 + size), name
+        is_persistent = row["persistent"] == "yes"
+        extended = ask(drone, 3, b"\x07", index)[3:]
+        assert extended == (b"\0\1" if is_persistent else b"\2"), name
+        assert ask(drone, 3, b"\x02", index)[3:] == extended[-1:], name
+        stored = ask(drone, 3, b"\x03", index)[3:]
+        assert stored == (b"\0" if is_persistent else b"\2"), name
+
+
+@pytest.mark.parametrize("name", ["pid_rate.roll_kp", "colAv.horizon"])
+def test_a_parameter_that_is_no_number_is_stored(name):
+    drone = Hangar().drone
+    index = drone.parameters.toc.index[name].to_bytes(2, "little")
+    nothing = struct.pack("<f", float("nan"))
+    list(drone.take(Packet(CrtpPort.PARAMETERS, 2, index + nothing)))
+    assert ask(drone, 1, index)[3:] == nothing
