@@ -181,9 +181,6 @@ def _ignore_result(taken: bool) -> None:
 
 
 COMMAND_FUNCTIONS: dict[str, Callable[..., Any]] = {
-    "rpyt": lambda on, roll, pitch, yaw, thrust: _ignore_result(
-        on.setpoints.rpyt_raw(roll, pitch, yaw, thrust)
-    ),
     "stop": lambda on: _ignore_result(on.setpoints.stop_setpoint()),
     "velocity_world_legacy": lambda on, vx, vy, vz, rate: _set_velocity(
         on, vx, vy, vz, -rate

@@ -26,6 +26,7 @@ from crazychoir.radio.virtual.commands import (
     apply_manual,
 )
 from crazychoir.simulation.onboard.onboard import Onboard
+from crazychoir.simulation.onboard.record import YAW_MODES
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,8 +352,23 @@ def _set_group_mask(me: FlightService, group: int) -> int:
     return 0
 
 
+def _set_rpyt(
+    me: FlightService, roll: float, pitch: float, yaw: float, thrust: float
+) -> None:
+    """Apply an RPYT packet; a yaw rate in the carefree mode fails an assertion."""
+    fw = me.onboard.record
+    if (
+        fw["yaw_mode"] == YAW_MODES.carefree
+        and not fw["rate_yaw_mode"]
+        and not fw["sets_position"]
+    ):
+        raise FirmwareAssertion("RPYT: flightmode.yawMode is 0; allowed: 1 or 2.")
+    me.onboard.setpoints.rpyt_raw(roll, pitch, yaw, thrust)
+
+
 FLIGHT_FUNCTIONS: dict[str, Callable[..., Any]] = {
     "group_mask": _set_group_mask,
+    "rpyt": _set_rpyt,
     "external_position": lambda me, *p: me.position(p),
     "external_pose": lambda me, *values: me.pose(values[:3], values[3:]),
     "lighthouse_persist": lambda me, geometries, calibrations: b"\x01",

@@ -11,6 +11,7 @@ from crazychoir.numerics.kernels import kernel, real, vector
 from crazychoir.numerics.math3d import clip
 from crazychoir.simulation.onboard.record import (
     AXIS_MODES,
+    YAW_MODES,
     Fleet,
     Record,
     rows,
@@ -42,6 +43,10 @@ SETPOINT_PRIORITIES = SetpointPriorities()
 
 RPYT_LEAST_THRUST = 1000.0  # thrust command; a smaller one is none
 RPYT_MOST_THRUST = 60000.0  # thrust command; a larger one is reduced to this
+RPYT_REST_THRUST = 32767.0  # thrust command that holds the height in flightmode.althold
+RPYT_DEGREES_PER_SPEED = 30.0  # deg a m/s in flightmode.poshold
+RPYT_THRUST_PER_METRE = 1000.0  # thrust commands a m in flightmode.posSet
+HALF_RIGHT_ANGLE_COSINE = math.sqrt(0.5)  # cosine and sine of 45 deg
 PLANNER_IDLE = 0  # state of the planner without a plan
 
 
@@ -105,6 +110,54 @@ def _turn_axes(fw: Record, roll: float, pitch: float) -> None:
         sp.pitch_rate = pitch
 
 
+@kernel()
+def _hold_height(sp: Record, thrust: float) -> None:
+    """Write a climb instead of the thrust: up to 1 m/s at 65535, 0 at 32767."""
+    sp.thrust = 0.0
+    sp.mode_z = AXIS_MODES.velocity
+    sp.vz = (thrust - RPYT_REST_THRUST) / RPYT_REST_THRUST
+
+
+@kernel()
+def _hold_position(sp: Record, roll: float, pitch: float) -> None:
+    """Write a velocity in the world instead of roll and pitch: 1 m/s for 30 deg."""
+    sp.mode_x = sp.mode_y = AXIS_MODES.velocity
+    sp.vx = pitch / RPYT_DEGREES_PER_SPEED
+    sp.vy = roll / RPYT_DEGREES_PER_SPEED
+
+
+@kernel()
+def _set_position(
+    sp: Record, roll: float, pitch: float, yaw: float, thrust: float
+) -> None:
+    """Write the position (-pitch, roll, thrust / 1000) m and the heading, deg."""
+    sp.mode_x = sp.mode_y = sp.mode_z = sp.mode_yaw = AXIS_MODES.absolute
+    sp.x = -pitch
+    sp.y = roll
+    sp.z = thrust / RPYT_THRUST_PER_METRE
+    sp.yaw = yaw
+    sp.thrust = 0.0
+
+
+@kernel()
+def _turn_yaw(fw: Record, yaw: float) -> None:
+    """Write the heading as an angle or a rate, by flightmode.stabModeYaw.
+
+    With a rate, motor 1 is the front in the plus mode: roll and pitch are turned by 45 deg.
+    """
+    sp = fw.wanted
+    if fw.rate_yaw_mode:
+        sp.mode_yaw = AXIS_MODES.absolute
+        sp.yaw = yaw
+        return
+    sp.mode_yaw = AXIS_MODES.velocity
+    sp.yaw_rate = -yaw
+    if fw.yaw_mode == YAW_MODES.plus:
+        roll = sp.roll
+        sp.roll = HALF_RIGHT_ANGLE_COSINE * (roll - sp.pitch)
+        sp.pitch = HALF_RIGHT_ANGLE_COSINE * (sp.pitch + roll)
+
+
 @kernel(rows, whole, real, real, real, real, real)
 def rpyt(
     fleet: Fleet,
@@ -119,7 +172,8 @@ def rpyt(
 
     Thrust is locked until a packet without thrust arrives, and locked again after a time without a
     source in control. A thrust below 1000 counts as none, above 60000 as 60000. The yaw rate has
-    inverted sign in this kind of packet only.
+    inverted sign in this kind of packet only. The modes flightmode.althold, .poshold and .posSet
+    give the numbers another meaning. Source: crazyflie-firmware, crtp_commander_rpyt.c.
     """
     fw = fleet[i]
     if fw.priority == SETPOINT_PRIORITIES.no_sender:
@@ -131,13 +185,16 @@ def rpyt(
     sp = fw.wanted
     if not fw.locked_thrust and thrust >= RPYT_LEAST_THRUST:
         sp.thrust = min(thrust, RPYT_MOST_THRUST)
-    _turn_axes(fw, roll, pitch)
-    if fw.rate_yaw_mode:
-        sp.mode_yaw = AXIS_MODES.absolute
-        sp.yaw = yaw
+    if fw.holds_height:
+        _hold_height(sp, thrust)
+    if fw.holds_position:
+        _hold_position(sp, roll, pitch)
+    elif fw.sets_position and thrust != 0.0:
+        _set_position(sp, roll, pitch, yaw, thrust)
     else:
-        sp.mode_yaw = AXIS_MODES.velocity
-        sp.yaw_rate = -yaw
+        _turn_axes(fw, roll, pitch)
+    if not fw.sets_position:
+        _turn_yaw(fw, yaw)
     return True
 
 

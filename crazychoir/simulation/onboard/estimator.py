@@ -103,9 +103,23 @@ def collect_samples(fw: Record) -> None:
 
 
 @kernel()
-def _compute_process_noise(deviation: float, samples: int) -> float:
-    """Return the variance of the noise of some samples, added each ms as in estimator_kalman.c."""
-    return samples * (deviation * TICK_SECONDS) ** 2
+def _compute_process_noise(deviation: float, step: float, samples: int) -> float:
+    """Return the variance of the noise of some samples, added each ms as in estimator_kalman.c.
+
+    deviation: standard deviation a second
+    step: standard deviation a sample
+    samples: number of samples
+    """
+    return samples * (deviation * TICK_SECONDS + step) ** 2
+
+
+@kernel()
+def _compute_position_noise(fw: Record) -> float:
+    """Return the variance of the noise that is added to each axis of the position.
+
+    The noise of the acceleration is left out: it is below 1e-12 m2 a ms.
+    """
+    return _compute_process_noise(fw.noise_velocity, fw.noise_position, fw.samples)
 
 
 @kernel()
@@ -125,14 +139,17 @@ def _grow_horizontal_covariance(fw: Record, dt: float, lift: float) -> None:
     tt = fw.xy_tt
     fw.xy_pp += (
         2.0 * dt * pv + dt * dt * vv + 2.0 * a * pt + 2.0 * a * dt * vt + a * a * tt
-    )
+    ) + _compute_position_noise(fw)
     fw.xy_pv = pv + dt * vv + b * pt + (a + b * dt) * vt + a * b * tt
     fw.xy_pt = pt + dt * vt + a * tt
     fw.xy_vv = (
-        vv + 2.0 * b * vt + b * b * tt + _compute_process_noise(fw.noise_xy, fw.samples)
+        vv
+        + 2.0 * b * vt
+        + b * b * tt
+        + _compute_process_noise(fw.noise_xy, fw.noise_velocity, fw.samples)
     )
     fw.xy_vt = vt + b * tt
-    fw.xy_tt = tt + _compute_process_noise(fw.noise_gyro, fw.samples)
+    fw.xy_tt = tt + _compute_process_noise(fw.noise_gyro, fw.noise_attitude, fw.samples)
 
 
 @kernel()
@@ -161,10 +178,12 @@ def predict(fw: Record) -> None:
         P <- A P A^T + Q,  dt = k 1 ms
         along x, y: states (p, v, t), A = [1 dt F dt^2/2; 0 1 F dt; 0 0 1]
         along z:    states (p, v), A = [1 dt; 0 1]
-        Q: k (n 1 ms)^2 for v, k (n_gyro 1 ms)^2 for the tilt t and the yaw
+        Q: k (n 1 ms + n_v)^2 for v, k (n_gyro 1 ms + n_t)^2 for the tilt t and the yaw,
+           k (n_v 1 ms + n_p)^2 for p
 
     f: m/s2, body: specific force, turned by the attitude at the middle of the interval
     n: m/s2: noise of the acceleration
+    n_p, n_v, n_t: m, m/s, rad: noise a ms, kalman.pNPos, pNVel and pNAtt
     F: m/s2: vertical part of R f
     k: number of samples; the firmware adds its noise each ms (estimator_kalman.c)
     In flight the rotors push along the body's z axis only, so only the z component of f is used:
@@ -195,10 +214,12 @@ def predict(fw: Record) -> None:
     fw.vy += dt * fw.acy
     fw.vz += dt * fw.acz
     _grow_horizontal_covariance(fw, dt, fw.acz + FIRMWARE_GRAVITY)
-    fw.z_pp += dt * (2.0 * fw.z_pv + dt * fw.z_vv)
+    fw.z_pp += dt * (2.0 * fw.z_pv + dt * fw.z_vv) + _compute_position_noise(fw)
     fw.z_pv += dt * fw.z_vv
-    fw.z_vv += _compute_process_noise(fw.noise_z, fw.samples)
-    fw.yaw_var += _compute_process_noise(fw.noise_gyro, fw.samples)
+    fw.z_vv += _compute_process_noise(fw.noise_z, fw.noise_velocity, fw.samples)
+    fw.yaw_var += _compute_process_noise(
+        fw.noise_gyro_yaw, fw.noise_attitude, fw.samples
+    )
     _clear_sums(fw)
     _update_angles(fw)
     if _is_lost(fw):

@@ -30,6 +30,20 @@ class AxisModes(NamedTuple):
 AXIS_MODES = AxisModes()
 
 
+class YawModes(NamedTuple):
+    """Values of the parameter flightmode.yawMode."""
+
+    carefree: int = 0
+    """Not implemented in the firmware: an assertion fails."""
+    plus: int = 1
+    """Motor 1 is in front."""
+    cross: int = 2
+    """Motors 1 and 4 are in front."""
+
+
+YAW_MODES = YawModes()
+
+
 class ControllerKinds(NamedTuple):
     """Values of the parameter stabilizer.controller."""
 
@@ -182,6 +196,7 @@ drone_fields = np.dtype(
         *_real_fields(
             "ext_pos_std ext_quat_std noise_xy noise_z noise_gyro max_pos max_vel"
         ),
+        *_real_fields("noise_position noise_velocity noise_attitude noise_gyro_yaw"),
         *_real_fields("initial_x initial_y initial_z initial_yaw"),
         ("resets", np.int64),
         # commander
@@ -191,6 +206,8 @@ drone_fields = np.dtype(
         ("rate_roll_mode", np.int64),  # flightmode.stabMode*: 0 rate, 1 angle
         ("rate_pitch_mode", np.int64),
         ("rate_yaw_mode", np.int64),
+        # flightmode.althold, .poshold, .posSet and .yawMode
+        *_integer_fields("holds_height holds_position sets_position yaw_mode"),
         ("wanted", setpoint_fields),
         # supervisor
         *_integer_fields(
@@ -348,12 +365,14 @@ SCALAR_DEFAULTS: dict[str, float] = {
     "noise_xy": 0.5,
     "noise_z": 1.0,
     "noise_gyro": 0.1,
+    "noise_gyro_yaw": 0.1,
     "max_pos": 100.0,
     "max_vel": 10.0,
     "locked_thrust": 1,
     "rate_roll_mode": 1,
     "rate_pitch_mode": 1,
     "rate_yaw_mode": 0,
+    "yaw_mode": YAW_MODES.cross,
     "preflight_timeout": 30000,
     "landed_timeout": 3000,
     "spinup_timeout": 2000,
