@@ -4,6 +4,7 @@ It takes packets, returns answers, and sends logs and texts as time passes.
 """
 
 import logging
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -15,6 +16,7 @@ from crazychoir.radio.protocol.crtp import (
 from crazychoir.radio.virtual.flight import FirmwareAssertion, FlightService
 from crazychoir.radio.virtual.logs import LogService
 from crazychoir.radio.virtual.memories import MemoryService
+from crazychoir.radio.virtual.parameter_effects import WriteEffects
 from crazychoir.radio.virtual.parameters import ParameterService
 from crazychoir.radio.virtual.power import PowerManagement
 from crazychoir.radio.virtual.readings import make_readings
@@ -134,18 +136,33 @@ class VirtualCrazyflie:
         """Packets received."""
         self.sent = 0
         """Packets sent."""
-        self.positioned = MODELLED_DRONE.position_deck in self.identity.decks
-        self.flows = MODELLED_DRONE.velocity_deck in self.identity.decks
         self.rates = (0.0, 0.0)
         self._counted = (0, 0, 0)
         self._deaf_until = 0
         self._heard = 0
-        self._start()
+        self._start(has_asserted=False)
 
     @property
     def decks(self) -> tuple[str, ...]:
         """Decks that the drone carries."""
         return self.identity.decks
+
+    @property
+    def has_position_deck(self) -> bool:
+        """Whether the drone carries the deck that measures its position."""
+        return MODELLED_DRONE.position_deck in self.decks
+
+    @property
+    def positioned(self) -> bool:
+        """Whether a deck gives the estimator its position."""
+        forwards = self.parameters.read("lighthouse.fwdToEstimator")
+        return self.has_position_deck and bool(forwards)
+
+    @property
+    def flows(self) -> bool:
+        """Whether a deck gives the estimator its velocity."""
+        has_deck = MODELLED_DRONE.velocity_deck in self.decks
+        return has_deck and not self.parameters.read("motion.disable")
 
     @property
     def uptime(self) -> int:
@@ -157,16 +174,22 @@ class VirtualCrazyflie:
         """Whether the drone still starts and hears nothing."""
         return self.uptime < self._deaf_until
 
-    def _start(self) -> None:
+    def _start(self, has_asserted: bool) -> None:
         me = self.identity
         on = self.onboard
         tables = tables_of(me.decks, on.firmware)
         self.starts += 1
         self.power = PowerManagement()
+        self._said: list[Packet] = []
+        self._echoes: deque[tuple[int, Packet]] = deque()
+        self.memories = MemoryService(on, self.kept.memories, me.number)
         self.parameters = ParameterService(on, tables.parameters, self.kept.parameters)
         for deck in me.decks:
             self.parameters.set(f"deck.{deck}", 1.0)
-        self.memories = MemoryService(on, self.kept.memories, me.number)
+        effects = WriteEffects(
+            on, self.parameters, self.memories.tester, has_asserted, self.say
+        )
+        self.parameters.written = effects.apply
         self.flight = FlightService(
             on,
             me.number,
@@ -177,11 +200,15 @@ class VirtualCrazyflie:
         )
         self._readings = make_readings(self)
         self.logs = LogService(tables.logs, self.read_log)
-        self._said: list[Packet] = []
         self.say("SYS: ----------------------------\n")
         self.say(
             f"SYS: {me.device} is up and running!\nSYS: Build {me.release} (virtual)\n"
         )
+        self.parameters.restore()
+
+    def computes(self, name: str) -> bool:
+        """Return whether the drone or the firmware model computes a log variable."""
+        return name in self._readings or name in FIRMWARE_LOG_READERS
 
     def read_log(self, name: str) -> float:
         """Return a log variable; 0 if neither the drone nor the firmware model computes it."""
@@ -201,7 +228,7 @@ class VirtualCrazyflie:
         self._counted = (0, self.received, self.sent)
         self._deaf_until = FIRMWARE_TIMEOUTS.boot
         self._heard = 0
-        self._start()
+        self._start(has_asserted=bool(why))
         self.flight.zeros, self.flight.malformed, self.flight.unknown = counted
         self.refuse_arming(refuses)
         if why:
@@ -262,11 +289,20 @@ class VirtualCrazyflie:
         elif port == CrtpPort.MEMORY:
             yield from self.memories.take(packet)
         elif port == CrtpPort.LINK and packet.channel == LINK_ECHO_CHANNEL:
-            yield packet
+            yield from self._echo(packet)
         elif port == CrtpPort.LINK and packet.channel == LINK_SOURCE_CHANNEL:
             yield Packet(CrtpPort.LINK, LINK_SOURCE_CHANNEL, SOURCE_ANSWER)
         elif port != CrtpPort.LINK:
             self.flight.unknown += 1
+
+    def _echo(self, packet: Packet) -> Iterator[Packet]:
+        """Return an echo at once, or send it later: each waits crtpsrv.echoDelay ms for itself."""
+        delay = int(self.parameters.read("crtpsrv.echoDelay"))
+        if delay == 0 and not self._echoes:
+            yield packet
+        else:
+            last = self._echoes[-1][0] if self._echoes else self.uptime
+            self._echoes.append((last + delay, packet))
 
     def pass_time(self) -> Iterator[Packet]:
         """Return the packets that the drone sends by itself, up to the time of its model."""
@@ -287,6 +323,8 @@ class VirtualCrazyflie:
         said = self._said
         self._said = []
         yield from said
+        while self._echoes and self._echoes[0][0] <= now:
+            yield self._echoes.popleft()[1]
         yield from self.logs.due(now)
 
     def _watch(self, now: int) -> None:

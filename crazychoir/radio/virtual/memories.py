@@ -122,6 +122,8 @@ class MemoryTester:
     def __init__(self) -> None:
         self.errors = 0
         """Wrong bytes that were written."""
+        self.resets = False
+        """Whether the next write counts from 0; that write clears it."""
 
     def read(self, address: int, length: int) -> bytes | None:
         """Return bytes by the rule."""
@@ -129,6 +131,9 @@ class MemoryTester:
 
     def write(self, address: int, data: bytes) -> bool:
         """Count the bytes against the rule."""
+        if self.resets:
+            self.resets = False
+            self.errors = 0
         self.errors += sum(byte != (address + k) & 0xFF for k, byte in enumerate(data))
         return True
 

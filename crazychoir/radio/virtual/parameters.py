@@ -1,6 +1,7 @@
 """Port 2: parameters of a virtual drone.
 
-A parameter that the firmware model knows acts at once. The others are only stored.
+A parameter that the firmware model knows acts at once. The others are only stored, and
+`parameter_effects` says which of them the drone around the model uses.
 """
 
 import struct
@@ -78,6 +79,14 @@ class StorageAnswers:
 STORAGE_ANSWERS = StorageAnswers()
 
 
+WrittenCallback = Callable[[TocEntry, float], None]
+"""Callback that takes the entry and the value of a parameter that was set."""
+
+
+def ignore_write(entry: TocEntry, value: float) -> None:
+    """Ignore that a parameter was set."""
+
+
 def make_parameter_toc(entries: tuple[TocEntry, ...]) -> Toc:
     """Return the table of these parameters."""
     return Toc(CrtpPort.PARAMETERS, entries, PARAM_TYPES)
@@ -89,6 +98,8 @@ class ParameterService:
     onboard: model of the firmware
     toc: table of the parameters
     stored: values that survive a restart, as in the drone's own memory
+    written: called with the entry and the value after a client, or the drone's own memory at a
+        start, has set a parameter
     """
 
     def __init__(
@@ -96,7 +107,9 @@ class ParameterService:
         onboard: Onboard,
         toc: Toc,
         stored: dict[str, float] | None = None,
+        written: WrittenCallback = ignore_write,
     ) -> None:
+        self.written = written
         self.onboard = onboard
         self.toc = toc
         self.values: dict[str, float] = {}
@@ -108,9 +121,13 @@ class ParameterService:
             self._write,
             self._do_command,
         )
-        for name, value in self.stored.items():
-            if name in toc.index:
+
+    def restore(self) -> None:
+        """Set the stored parameters, as the firmware does when it starts."""
+        for name, value in list(self.stored.items()):
+            if name in self.toc.index:
                 self.set(name, value)
+                self.written(self.toc.entries[self.toc.index[name]], value)
 
     def take(self, packet: Packet) -> Iterator[Packet]:
         """Return the answers to a packet."""
@@ -193,6 +210,7 @@ class ParameterService:
         layout = struct.Struct("<" + entry.letter)
         (value,) = layout.unpack(body[: layout.size].ljust(layout.size, b"\0"))
         self.set(entry.full, value)
+        self.written(entry, value)
 
     def _do_command(self, data: bytes) -> Iterator[Packet]:
         """Return the answers to a packet of the channel for commands; an unknown one has none."""

@@ -46,7 +46,6 @@ class DroneParts(Protocol):
     parameters: ParameterService
     received: int
     rates: tuple[float, float]
-    positioned: bool
 
     @property
     def uptime(self) -> int:
@@ -56,6 +55,11 @@ class DroneParts(Protocol):
     @property
     def decks(self) -> tuple[str, ...]:
         """Decks on board."""
+        ...
+
+    @property
+    def has_position_deck(self) -> bool:
+        """Whether the drone carries the deck that measures its position."""
         ...
 
     def truth(self) -> Sequence[float]:
@@ -171,7 +175,7 @@ def _deck_readings(me: DroneParts) -> Readings:
         )
 
     def seen(k: int) -> float:
-        return me.truth()[k] if me.positioned else 0.0
+        return me.truth()[k] if me.has_position_deck else 0.0
 
     return {
         **{
@@ -180,7 +184,9 @@ def _deck_readings(me: DroneParts) -> Readings:
         },
         "range.zrange": height,
         **{f"lighthouse.{axis}": lambda k=k: seen(k) for k, axis in enumerate("xyz")},  # type: ignore[misc]
-        "lighthouse.status": lambda: FIXED_READINGS.lighthouse_status * me.positioned,
+        "lighthouse.status": lambda: (
+            FIXED_READINGS.lighthouse_status * me.has_position_deck
+        ),
         "motion.squal": lambda: 100.0 * ("bcFlow2" in me.decks),
         "motion.motion": lambda: 176.0 * ("bcFlow2" in me.decks),
     }
