@@ -1,13 +1,14 @@
 """The tables of contents of virtual drones against the table of a build of the firmware."""
 
-import csv
 import struct
-from importlib.resources import files
+from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 from virtual_drones import Hangar
 
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
+from crazychoir.radio.virtual.toc import read_firmware_names
 
 LOG_TYPE_NUMBERS = {
     "uint8_t": 1,
@@ -27,15 +28,57 @@ PARAMETER_TYPES = {
     "int32_t": (0x02, "i"),
     "float": (0x06, "f"),
 }
-ANY_DECK = ("any", "bcFlow|bcFlow2")
+FACTS = Path("tests/data/crazyflie_toc.txt")
+DEFAULTS = {"stabilizer.controller": "0", "stabilizer.estimator": "0"}
+"""Default values that are not those after a start: 0 lets the firmware choose."""
+FLOW_DECK_GROUPS = ("deck", "motion")
+"""Groups of entries of decks that a drone with a flow deck has."""
 
 
-def read_rows(table, *decks):
-    """Return the rows of names.csv of a table with these conditions in the column deck."""
-    text = (files("crazychoir.radio.virtual") / "names.csv").read_text(encoding="utf-8")
-    lines = [line for line in text.splitlines() if not line.startswith("#")]
-    rows = [row for row in csv.DictReader(lines) if row["table"] == table]
-    return [row for row in rows if not decks or row["deck"] in decks]
+@dataclass(frozen=True)
+class Fact:
+    """An entry of the firmware's tables."""
+
+    name: str
+    kind: str
+    boot: str
+    is_read_only: bool
+    is_persistent: bool
+    needs_deck: bool
+
+
+def parse_fact(group, item):
+    """Return the entry of a text such as "roll_kp:float+=6.0"."""
+    name, _, rest = item.rstrip("!").partition(":")
+    kind, _, boot = rest.partition("=")
+    return Fact(
+        f"{group}.{name}",
+        kind.rstrip("*+"),
+        boot,
+        "*" in kind,
+        "+" in kind,
+        item.endswith("!"),
+    )
+
+
+def read_facts(repository, table, has_decks=True):
+    """Return the entries of a table, "L" or "P", of the build."""
+    found = []
+    for line in (repository / FACTS).read_text(encoding="utf-8").splitlines():
+        which, group, *items = line.split()
+        if which == table:
+            found += [parse_fact(group, item) for item in items]
+    return [fact for fact in found if has_decks or not fact.needs_deck]
+
+
+def select_facts(repository, table, decks):
+    """Return the entries of a drone without decks, or with a flow deck."""
+    return [
+        fact
+        for fact in read_facts(repository, table)
+        if not fact.needs_deck
+        or (decks and fact.name.split(".")[0] in FLOW_DECK_GROUPS)
+    ]
 
 
 def fetch_table(drone, port):
@@ -55,20 +98,32 @@ def ask(drone, channel, *data):
     return answer.data
 
 
-def test_the_table_is_that_of_the_build_without_and_with_all_decks():
-    sizes = {
-        table: (len(read_rows(table, "")), len(read_rows(table)))
-        for table in ("log", "parameter")
-    }
-    assert sizes == {"log": (434, 567), "parameter": (271, 335)}
+def test_the_table_of_the_package_is_that_of_the_build(repository):
+    for table, entries in zip("LP", read_firmware_names(), strict=True):
+        facts = {fact.name: fact for fact in read_facts(repository, table)}
+        assert sorted(facts) == sorted(entry.full for entry in entries)
+        for entry in entries:
+            fact = facts[entry.full]
+            assert (entry.kind, entry.read_only) == (fact.kind, fact.is_read_only)
+            assert (entry.deck != "") == fact.needs_deck, entry.full
+            if not fact.needs_deck:
+                assert entry.persistent == fact.is_persistent, entry.full
+    sizes = [
+        len(read_facts(repository, table, has_decks))
+        for table in "LP"
+        for has_decks in (False, True)
+    ]
+    assert sizes == [434, 567, 271, 335]
 
 
 @pytest.mark.parametrize("decks", [(), ("bcFlow2",)])
-def test_a_drone_serves_the_log_variables_of_its_decks_with_their_types(decks):
+def test_a_drone_serves_the_log_variables_of_its_decks_with_their_types(
+    repository, decks
+):
     hangar = Hangar(decks=decks)
-    rows = read_rows("log", "", *(ANY_DECK if decks else ()))
     expected = {
-        f"{row['group']}.{row['name']}": LOG_TYPE_NUMBERS[row["type"]] for row in rows
+        fact.name: LOG_TYPE_NUMBERS[fact.kind]
+        for fact in select_facts(repository, "L", decks)
     }
     found = fetch_table(hangar.drone, CrtpPort.LOG)
     assert {name: kind for name, (_, kind) in found.items()} == expected
@@ -76,40 +131,37 @@ def test_a_drone_serves_the_log_variables_of_its_decks_with_their_types(decks):
 
 
 @pytest.mark.parametrize("decks", [(), ("bcFlow2",)])
-def test_a_drone_serves_the_parameters_of_its_decks_with_type_and_access(decks):
+def test_a_drone_serves_the_parameters_of_its_decks_with_type_and_access(
+    repository, decks
+):
     hangar = Hangar(decks=decks)
-    rows = read_rows("parameter", "", *(ANY_DECK if decks else ()))
     expected = {
-        f"{row['group']}.{row['name']}": PARAMETER_TYPES[row["type"]][0]
-        | 0x40 * (row["access"] == "ro")
-        | 0x10 * (row["persistent"] == "yes")
-        for row in rows
+        fact.name: PARAMETER_TYPES[fact.kind][0]
+        | 0x40 * fact.is_read_only
+        | 0x10 * (fact.is_persistent or fact.name == "motion.flowStdFixed")
+        for fact in select_facts(repository, "P", decks)
     }
     found = fetch_table(hangar.drone, CrtpPort.PARAMETERS)
     assert {name: kind for name, (_, kind) in found.items()} == expected
     assert len(found) == (271 + 18 + 3 if decks else 271)
 
 
-def test_each_parameter_boots_and_defaults_as_in_the_firmware():
+def test_each_parameter_boots_and_defaults_as_in_the_firmware(repository):
     drone = Hangar().run(0.5).drone
     found = fetch_table(drone, CrtpPort.PARAMETERS)
-    for row in read_rows("parameter", ""):
-        name = f"{row['group']}.{row['name']}"
-        index = found[name][0].to_bytes(2, "little")
-        letter = PARAMETER_TYPES[row["type"]][1]
-        number = float if letter == "f" else int
-
-        def pack(text, letter=letter, number=number):
-            return struct.pack("<" + letter, number(float(text)))
-
-        # the platform gives the mass and gains as rounded decimals
+    for fact in read_facts(repository, "P", has_decks=False):
+        index = found[fact.name][0].to_bytes(2, "little")
+        letter = PARAMETER_TYPES[fact.kind][1]
+        # the model of the firmware has the mass and gains as rounded decimals
         (value,) = struct.unpack("<" + letter, ask(drone, 1, index)[3:])
-        assert value == pytest.approx(float(row["boot"]), rel=1e-6), name
-        default = ask(drone, 3, b"\x08", index)[3:]
-        if row["access"] == "ro":
-            assert default == b"\x02", name
+        assert value == pytest.approx(float(fact.boot), rel=1e-6), fact
+        answer = ask(drone, 3, b"\x08", index)[3:]
+        if fact.is_read_only:
+            assert answer == b"\x02", fact
         else:
-            assert default == b"\0" + pack(row["default"] or row["boot"]), name
+            default = float(DEFAULTS.get(fact.name, fact.boot))
+            number = default if letter == "f" else int(default)
+            assert answer == b"\0" + struct.pack("<" + letter, number), fact
 
 
 def test_the_flags_of_decks_are_there_with_any_deck_and_tell_which_it_is():
@@ -133,21 +185,22 @@ def test_drones_with_the_same_decks_share_their_tables():
     assert first.parameters.read("led.bitmask") == 0.0
 
 
-def test_each_parameter_has_a_state_and_only_persistent_ones_an_extended_type():
+def test_each_parameter_has_a_state_and_only_persistent_ones_an_extended_type(
+    repository,
+):
     drone = Hangar().drone
     found = fetch_table(drone, CrtpPort.PARAMETERS)
-    for row in read_rows("parameter", ""):
-        name = f"{row['group']}.{row['name']}"
+    for fact in read_facts(repository, "P", has_decks=False):
+        name = fact.name
         index = found[name][0].to_bytes(2, "little")
-        size = struct.calcsize(PARAMETER_TYPES[row["type"]][1])
+        size = struct.calcsize(PARAMETER_TYPES[fact.kind][1])
         state = ask(drone, 3, b"\x04", index)[3:]
         assert (state[:1], len(state)) == (b"\0", 1 + size), name
-        is_persistent = row["persistent"] == "yes"
         extended = ask(drone, 3, b"\x07", index)[3:]
-        assert extended == (b"\0\1" if is_persistent else b"\2"), name
+        assert extended == (b"\0\1" if fact.is_persistent else b"\2"), name
         assert ask(drone, 3, b"\x02", index)[3:] == extended[-1:], name
         stored = ask(drone, 3, b"\x03", index)[3:]
-        assert stored == (b"\0" if is_persistent else b"\2"), name
+        assert stored == (b"\0" if fact.is_persistent else b"\2"), name
 
 
 @pytest.mark.parametrize("name", ["pid_rate.roll_kp", "colAv.horizon"])
