@@ -47,6 +47,17 @@ class Fact:
     needs_deck: bool
 
 
+CFCLIENT_BLOCKS = {
+    "attitude": ("controller", "pitch roll yaw", "stateEstimate", "pitch roll yaw"),
+    "attitude rate": ("controller", "pitchRate rollRate yawRate", "gyro", "x y z"),
+    "position": ("posCtl", "targetX targetY targetZ", "stateEstimate", "x y z"),
+    "velocity": ("posCtl", "targetVX targetVY targetVZ", "stateEstimate", "vx vy vz"),
+    "stabilizer": ("stabilizer", "roll pitch yaw thrust", "motor", "m1 m2 m3 m4"),
+    "sensors": ("mag", "x y z", "baro", "asl pressure temp"),
+}
+"""Log blocks of cfclient (src/cfclient/configs/log): two groups with names."""
+
+
 def parse_fact(group, item):
     """Return the entry of a text such as "roll_kp:float+=6.0"."""
     name, _, rest = item.rstrip("!").partition(":")
@@ -210,3 +221,22 @@ def test_a_parameter_that_is_no_number_is_stored(name):
     nothing = struct.pack("<f", float("nan"))
     list(drone.take(Packet(CrtpPort.PARAMETERS, 2, index + nothing)))
     assert ask(drone, 1, index)[3:] == nothing
+
+
+@pytest.mark.parametrize("block", CFCLIENT_BLOCKS)
+def test_the_log_blocks_of_cfclient_start_and_their_values_come(block):
+    hangar = Hangar().run(0.1)
+    first, names, second, more = CFCLIENT_BLOCKS[block]
+    found = fetch_table(hangar.drone, CrtpPort.LOG)
+    variables = [f"{first}.{name}" for name in names.split()]
+    variables += [f"{second}.{name}" for name in more.split()]
+    entries = [found[name] for name in variables]
+    body = b"".join(struct.pack("<BH", kind, index) for index, kind in entries)
+    for command in (b"\6\1" + body, b"\3\1\1"):
+        (answer,) = hangar.drone.take(Packet(CrtpPort.LOG, 1, command))
+        assert answer.data[2] == 0
+    hangar.run(0.1)
+    values = [p.data[4:] for p in hangar.said if (p.port, p.channel) == (5, 2)]
+    assert len(values) == 10
+    kinds = [hangar.drone.logs.toc.entries[index].letter for index, _ in entries]
+    assert len(struct.unpack("<" + "".join(kinds), values[-1])) == len(variables)
