@@ -88,6 +88,7 @@ PARAMETER_PLACES: dict[str, ParameterPlace] = {
     "supervisor.landedTimeout": ("landed_timeout",),
     "supervisor.spinupTimeout": ("spinup_timeout",),
     "supervisor.tmblChckEn": ("tumble_check",),
+    "supervisor.crashDetectGs": ("crash_deviation",),
 }
 RESET_ESTIMATION = "kalman.resetEstimation"
 """A parameter without a place: writing 1 resets the estimator."""

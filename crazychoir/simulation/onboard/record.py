@@ -217,6 +217,7 @@ drone_fields = np.dtype(
         *_integer_fields(
             "preflight_timeout landed_timeout spinup_timeout tumble_check"
         ),
+        ("crash_deviation", np.float64),  # supervisor.crashDetectGs, g; 0: none
         # controllers
         ("controller", np.int64),
         ("law_due", np.int64),

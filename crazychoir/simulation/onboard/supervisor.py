@@ -1,5 +1,6 @@
 """The supervisor: permission for motors, missing set-points, and tumbled drones."""
 
+import math
 from typing import NamedTuple
 
 from crazychoir.numerics.kernels import kernel
@@ -83,8 +84,19 @@ SUPERVISOR_LIMITS = SupervisorLimits()
 
 
 @kernel()
+def _has_hit(fw: Record) -> bool:
+    """Return True if the acceleration differs from 1 g by more than supervisor.crashDetectGs.
+
+    Source: crazyflie-firmware, pull request 1644.
+    """
+    norm = math.sqrt(fw.ax * fw.ax + fw.ay * fw.ay + fw.az * fw.az)
+    hit: bool = fw.crash_deviation > 0.0 and abs(norm - 1.0) > fw.crash_deviation
+    return hit
+
+
+@kernel()
 def _see_tumbling(fw: Record) -> None:
-    """Detect tumbling: below 0.5 g along z for 1 s, or below -0.2 g for 0.1 s.
+    """Detect tumbling: below 0.5 g along z for 1 s, below -0.2 g for 0.1 s, or a hit.
 
     Free fall restarts both times, because it says nothing about the attitude.
     """
@@ -101,7 +113,7 @@ def _see_tumbling(fw: Record) -> None:
         fw.tick - fw.upright_at > SUPERVISOR_LIMITS.tilted_time
         or fw.tick - fw.not_upside_at > SUPERVISOR_LIMITS.inverted_time
     )
-    fw.tumbled = 1 if fw.tumble_check and tilted else 0
+    fw.tumbled = 1 if fw.tumble_check and (tilted or _has_hit(fw)) else 0
 
 
 @kernel()

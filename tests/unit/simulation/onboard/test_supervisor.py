@@ -288,3 +288,17 @@ def test_a_drone_that_may_no_longer_fly_has_no_plan_left():
     loop.run(onboard.rows, 200.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.81)
     assert onboard.state == "locked"
     assert onboard.record["planner"]["state"] == 0
+
+
+@pytest.mark.parametrize(
+    ("limit", "force", "state"),
+    [(0.0, 4.0, "flying"), (2.0, 2.5, "flying"), (2.0, 4.0, "crashed")],
+)
+def test_a_hit_above_its_limit_crashes_a_flying_drone(limit, force, state):
+    bench = Bench()
+    bench.onboard.set("supervisor.crashDetectGs", limit)
+    bench.fly()
+    for _ in range(5):
+        bench.push()
+        bench.run(40, z=force)
+    assert bench.onboard.state == state
