@@ -12,15 +12,13 @@ from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import STANDARD_GRAVITY, rotation, rotation_from_flat
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.simulation.onboard import (
-    attitude,
     estimator,
-    lee,
     loop,
-    mellinger,
     mixing,
     planner,
     polynomial,
 )
+from crazychoir.simulation.onboard.controllers import attitude, lee, mellinger
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import rows
 from crazychoir.simulation.onboard.units import FIRMWARE_GRAVITY

@@ -6,15 +6,13 @@ from typing import NamedTuple
 from crazychoir.numerics.kernels import kernel, real
 from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.simulation.onboard import (
-    cascade,
     estimator,
-    lee,
-    mellinger,
     mixing,
     planner,
     supervisor,
 )
 from crazychoir.simulation.onboard.commander import write_level_setpoint
+from crazychoir.simulation.onboard.controllers import cascade, lee, mellinger
 from crazychoir.simulation.onboard.record import (
     CONTROLLER_KINDS,
     Fleet,

@@ -9,7 +9,7 @@ from scipy import signal
 
 from crazychoir.numerics.kernels import kernel, vector
 from crazychoir.platforms import CRAZYFLIE_21
-from crazychoir.simulation.onboard import cascade, pid
+from crazychoir.simulation.onboard.controllers import cascade, pid
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import make_fleet, pid_fields
 

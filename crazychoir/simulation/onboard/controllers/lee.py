@@ -4,7 +4,7 @@ import math
 
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import Triple, dot, flat_attitude, rotation_columns
-from crazychoir.simulation.onboard.attitude import (
+from crazychoir.simulation.onboard.controllers.attitude import (
     CONTROL_PERIOD,
     Axes,
     choose_heading,

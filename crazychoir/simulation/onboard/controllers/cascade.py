@@ -12,7 +12,7 @@ import numpy as np
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import clip
 from crazychoir.platforms import LARGEST_AXIS_COMMAND
-from crazychoir.simulation.onboard import pid
+from crazychoir.simulation.onboard.controllers import pid
 from crazychoir.simulation.onboard.record import (
     AXIS_MODES,
     OUTPUT_KINDS,

@@ -1,0 +1,1 @@
+"""The controllers of the firmware: each turns a set-point and the estimate into thrust and torques."""
