@@ -299,21 +299,22 @@ class FlightService:
     def _packed(self, body: bytes, layout: struct.Struct) -> None:
         """Take poses or positions of several drones in one packet.
 
-        Only those with the number of this drone count.
+        The one with the number of this drone corrects its estimate; the others are its peers.
         """
         for number, x, y, z, *q in layout.iter_unpack(
             body[: len(body) // layout.size * layout.size]
         ):
-            if number == self.number:
-                p = (
-                    x * PACKET_UNITS.thousandth,
-                    y * PACKET_UNITS.thousandth,
-                    z * PACKET_UNITS.thousandth,
-                )
-                if q:
-                    self.pose(p, unpack_quaternion(q[0]))
-                else:
-                    self.position(p)
+            p = (
+                x * PACKET_UNITS.thousandth,
+                y * PACKET_UNITS.thousandth,
+                z * PACKET_UNITS.thousandth,
+            )
+            if number != self.number:
+                self.onboard.peer_position(number, np.array(p))
+            elif q:
+                self.pose(p, unpack_quaternion(q[0]))
+            else:
+                self.position(p)
 
     # The channels of an emulated receiver
 

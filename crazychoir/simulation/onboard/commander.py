@@ -418,13 +418,14 @@ def full_state(fleet: Fleet, i: int, s: Vec, priority: float) -> bool:
 
 
 @kernel()
-def write_level_setpoint(fw: Record) -> None:
+def write_level_setpoint(fw: Record, old: Record) -> None:
     """Write the set-point that is flown after set-points have ended.
 
     It is level without a yaw rate; height and thrust stay as before.
+
+    old: set-point that is flown otherwise
     """
     sp = fw.level
-    old = fw.wanted
     clear_setpoint(sp)
     sp.mode_roll = sp.mode_pitch = AXIS_MODES.absolute
     sp.mode_yaw = AXIS_MODES.velocity

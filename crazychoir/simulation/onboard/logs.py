@@ -19,9 +19,11 @@ FleetReader = Callable[[Fleet, int], float]
 
 
 def _target_reader(name: str) -> FleetReader:
-    """Return a reader of a field of the set-point; its yaw is the rate, as in the firmware."""
+    """Return a reader of a field of the set-point that is flown; its yaw is the rate, as in the firmware."""
     field = "yaw_rate" if name == "yaw" else name
-    return lambda rows, i: float(rows["wanted"][field][i])
+    return lambda rows, i: float(
+        rows[supervisor.name_flown_setpoint(rows[i])][field][i]
+    )
 
 
 def _field_reader(name: str, factor: float = 1.0) -> FleetReader:

@@ -10,6 +10,7 @@ from crazychoir.simulation.onboard import (
     mixing,
     planner,
     supervisor,
+    voronoi,
 )
 from crazychoir.simulation.onboard.commander import write_level_setpoint
 from crazychoir.simulation.onboard.controllers import cascade, lee, mellinger
@@ -120,14 +121,28 @@ def settle(fleet: Fleet, i: int) -> None:
 
 
 @kernel()
+def _choose_setpoint(fw: Record) -> Record:
+    """Return the set-point to fly: changed to avoid peers, or level if set-points are missing.
+
+    Source of the order: crazyflie-firmware, stabilizer.c.
+    """
+    sp = fw.wanted
+    if fw.avoids:
+        voronoi.avoid_peers(fw)
+        sp = fw.avoided
+    if fw.state == supervisor.SUPERVISOR_STATES.level_out:
+        write_level_setpoint(fw, sp)
+        sp = fw.level
+    return sp
+
+
+@kernel()
 def _run_controller(fw: Record) -> None:
     """Run the chosen controller and the mixing of motors, at 500 Hz.
 
     A user's law is only marked as due here; it has written its output since the last pass.
     """
-    sp = fw.level if fw.state == supervisor.SUPERVISOR_STATES.level_out else fw.wanted
-    if fw.state == supervisor.SUPERVISOR_STATES.level_out:
-        write_level_setpoint(fw)
+    sp = _choose_setpoint(fw)
     if fw.controller == CONTROLLER_KINDS.pid:
         cascade.control(fw, sp)
     elif fw.controller == CONTROLLER_KINDS.mellinger:

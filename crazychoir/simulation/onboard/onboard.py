@@ -16,6 +16,7 @@ from crazychoir.simulation.onboard import (
     parameters,
     planner,
     supervisor,
+    voronoi,
 )
 from crazychoir.simulation.onboard.board_planner import BoardPlanner, TrajectoryStore
 from crazychoir.simulation.onboard.record import (
@@ -36,6 +37,7 @@ _commander = EntryPoints(commander)
 _planner = EntryPoints(planner)
 _supervisor = EntryPoints(supervisor)
 _estimator = EntryPoints(estimator)
+_voronoi = EntryPoints(voronoi)
 _loop = EntryPoints(loop)
 
 
@@ -108,6 +110,14 @@ class Onboard:
         std: m/s: standard deviation of an axis
         """
         _estimator.see_velocity(self.rows, self.row, v, std)
+
+    def peer_position(self, number: int, p: Vec) -> None:
+        """Take the position of another drone, which colAv.enable avoids.
+
+        number: last byte of the other drone's address
+        p: (3,) m, world
+        """
+        _voronoi.hear_peer(self.rows, self.row, number, p[0], p[1], p[2])
 
     @property
     def estimate(self) -> State:
@@ -188,9 +198,8 @@ class Onboard:
         """
         fw = self.record
         fw["law_due"] = 0
-        leveling = fw["state"] == supervisor.SUPERVISOR_STATES.level_out
         target = laws.convert_setpoint(
-            fw["level"] if leveling else fw["wanted"], self.firmware.thrust_max
+            fw[supervisor.name_flown_setpoint(fw)], self.firmware.thrust_max
         )
         answer = self.laws[self.law_name](
             target, self.estimate, self.gyro, laws.LAW_PERIOD

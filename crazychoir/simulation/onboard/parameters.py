@@ -25,6 +25,18 @@ def _place_gains(
     }
 
 
+AVOIDANCE_NAMES = {
+    **{f"ellipsoid{axis.upper()}": f"radius_{axis}" for axis in "xyz"},
+    **{f"bboxMin{axis.upper()}": f"box_min_{axis}" for axis in "xyz"},
+    **{f"bboxMax{axis.upper()}": f"box_max_{axis}" for axis in "xyz"},
+    "horizon": "horizon",
+    "maxSpeed": "speed",
+    "sidestepThrsh": "sidestep",
+    "maxPeerLocAge": "peer_age",
+    "vorTol": "tolerance",
+    "vorIters": "passes",
+}
+"""Fields of the parameters of the group colAv."""
 PARAMETER_PLACES: dict[str, ParameterPlace] = {
     **_place_gains(
         "pid_rate",
@@ -54,6 +66,10 @@ PARAMETER_PLACES: dict[str, ParameterPlace] = {
     **{
         f"ctrlLee.{name}": ("lee", name)
         for name in ("mass", *LEE_DEFAULTS, "Kpos_Ix", "Kpos_Iy", "Kpos_Iz")
+    },
+    "colAv.enable": ("avoids",),
+    **{
+        f"colAv.{name}": ("avoidance", field) for name, field in AVOIDANCE_NAMES.items()
     },
     "flightmode.stabModeRoll": ("rate_roll_mode",),
     "flightmode.stabModePitch": ("rate_pitch_mode",),

@@ -90,6 +90,18 @@ class TrajectoryMemory(NamedTuple):
 TRAJECTORY_MEMORY = TrajectoryMemory()
 
 
+class AvoidanceMemory(NamedTuple):
+    """Sizes of the memory for the avoidance of collisions."""
+
+    peer_count: int = 10
+    """Other drones with a position that the firmware remembers."""
+    face_count: int = 16
+    """Faces of the cell: one a peer, and six of the box."""
+
+
+AVOIDANCE_MEMORY = AvoidanceMemory()
+
+
 def _real_fields(names: str) -> list[tuple[str, type]]:
     return [(name, np.float64) for name in names.split()]
 
@@ -173,6 +185,33 @@ lee_fields = np.dtype(
 ahead, left and up are x, y and z of the wanted body axes; wd is the wanted rate in body axes, rad/s.
 """
 
+avoidance_fields = np.dtype(
+    [
+        # m: half of the least distance from a peer; corners of the flight area
+        *_real_fields("radius_x radius_y radius_z"),
+        *_real_fields("box_min_x box_min_y box_min_z box_max_x box_max_y box_max_z"),
+        # s, m/s, m: horizon, largest speed, distance from a wall at which the drone steps aside
+        *_real_fields("horizon speed sidestep"),
+        ("peer_age", np.int64),  # ms after which a position is ignored; below 0: never
+        ("tolerance", np.float64),  # m, of the projection
+        ("passes", np.int64),  # greatest number of passes of the projection
+        *_real_fields(
+            "kept_x kept_y kept_z"
+        ),  # last place that was in the cell, or NaN
+        # the other drones: last bytes of their addresses, 0 without one; m; ms
+        ("peers", np.int64, (AVOIDANCE_MEMORY.peer_count,)),
+        ("positions", np.float64, (AVOIDANCE_MEMORY.peer_count, 3)),
+        ("heard_at", np.int64, (AVOIDANCE_MEMORY.peer_count,)),
+        # the cell of the last pass, and the memory of the projection
+        ("faces", np.int64),
+        ("normals", np.float64, (AVOIDANCE_MEMORY.face_count, 3)),
+        ("bounds", np.float64, (AVOIDANCE_MEMORY.face_count,)),
+        ("corrections", np.float64, (AVOIDANCE_MEMORY.face_count, 3)),
+    ],
+    align=True,
+)
+"""Fields of the avoidance of collisions: parameters, other drones, cell."""
+
 PID_NAMES = "roll_rate pitch_rate yaw_rate roll pitch yaw vx vy vz x y z"
 """PIDs of controller 1: rates, attitude, velocity and position."""
 
@@ -209,6 +248,7 @@ drone_fields = np.dtype(
         # flightmode.althold, .poshold, .posSet and .yawMode
         *_integer_fields("holds_height holds_position sets_position yaw_mode"),
         ("wanted", setpoint_fields),
+        ("avoids", np.int64),  # colAv.enable: `avoided` is flown instead of `wanted`
         # supervisor
         *_integer_fields(
             "state since armed auto_arm arm_requested turning flying tumbled estop info"
@@ -249,6 +289,8 @@ drone_fields = np.dtype(
         ),
         # Fields not needed in each ms are last, so that the others of 1000 drones fit into a cache.
         ("level", setpoint_fields),
+        ("avoided", setpoint_fields),
+        ("avoidance", avoidance_fields),
         ("planner", planner_fields),
         ("mellinger", mellinger_fields),
         ("lee", lee_fields),
@@ -294,6 +336,8 @@ class EntryPoints:
         return entry_point
 
 
+LARGEST_SINGLE = float(np.finfo(np.float32).max)
+"""Greatest number of 32 bits: the firmware's value for a flight area without limits."""
 # Gains kp, ki, kd and limit of the integral (chosen for velocity and position) of pid_rate,
 # pid_attitude, velCtlPid and posCtlPid.
 CRAZYFLIE_PID_GAINS = {
@@ -358,6 +402,26 @@ LEE_DEFAULTS = {
     "KI_y": 0.03,
     "KI_z": 0.03,
 }
+AVOIDANCE_DEFAULTS: dict[str, float] = {
+    "radius_x": 0.3,
+    "radius_y": 0.3,
+    "radius_z": 0.9,
+    "box_min_x": -LARGEST_SINGLE,
+    "box_min_y": -LARGEST_SINGLE,
+    "box_min_z": -LARGEST_SINGLE,
+    "box_max_x": LARGEST_SINGLE,
+    "box_max_y": LARGEST_SINGLE,
+    "box_max_z": LARGEST_SINGLE,
+    "horizon": 1.0,
+    "speed": 0.5,
+    "sidestep": 0.25,
+    "peer_age": 5000,
+    "tolerance": 1e-5,
+    "passes": 100,
+    "kept_x": math.nan,
+    "kept_y": math.nan,
+    "kept_z": math.nan,
+}
 SCALAR_DEFAULTS: dict[str, float] = {
     "vbat": 4.2,
     "vbat_low": 4.2,
@@ -408,6 +472,8 @@ def make_fleet(n: int, platform: Platform) -> Fleet:
         for name, value in defaults.items():
             rows[part][name] = value
         rows[part]["mass"] = firmware.mass
+    for name, value in AVOIDANCE_DEFAULTS.items():
+        rows["avoidance"][name] = value
     for name, value in SCALAR_DEFAULTS.items():
         rows[name] = value
     if firmware.needs_arming:
@@ -422,7 +488,8 @@ def make_fleet(n: int, platform: Platform) -> Fleet:
     rows["planner"]["timescale"] = 1.0
     rows["planner"]["take_off_speed"] = rows["planner"]["landing_speed"] = 0.5
     rows["volts"] = 2.5
-    rows["wanted"]["qw"] = rows["level"]["qw"] = 1.0
+    for name in ("wanted", "level", "avoided"):
+        rows[name]["qw"] = 1.0
     return rows
 
 

@@ -228,6 +228,13 @@ def may_fly(fw: Record) -> bool:
     )
 
 
+def name_flown_setpoint(fw: Record) -> str:
+    """Return the field of the set-point that the controller follows."""
+    if fw["state"] == SUPERVISOR_STATES.level_out:
+        return "level"
+    return "avoided" if fw["avoids"] else "wanted"
+
+
 @kernel()
 def may_arm(fw: Record) -> bool:
     """Return True if a drone that is not armed can be armed: the checks before flight are passed."""
