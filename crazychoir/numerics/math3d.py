@@ -131,6 +131,16 @@ def dot(a: Triple, b: Triple) -> float:
 
 
 @kernel()
+def cross(a: Triple, b: Triple) -> Triple:
+    """Return the vector product a x b."""
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )
+
+
+@kernel()
 def flat_attitude(f: Triple, yaw: float) -> tuple[Triple, Triple, Triple]:
     """Return the body axes (x_b, y_b, z_b) that push along f and point the nose towards yaw.
 

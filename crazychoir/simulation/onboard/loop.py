@@ -13,7 +13,13 @@ from crazychoir.simulation.onboard import (
     voronoi,
 )
 from crazychoir.simulation.onboard.commander import write_level_setpoint
-from crazychoir.simulation.onboard.controllers import cascade, lee, mellinger
+from crazychoir.simulation.onboard.controllers import (
+    brescianini,
+    cascade,
+    indi,
+    lee,
+    mellinger,
+)
 from crazychoir.simulation.onboard.record import (
     CONTROLLER_KINDS,
     Fleet,
@@ -138,7 +144,7 @@ def _choose_setpoint(fw: Record) -> Record:
 
 @kernel()
 def _run_controller(fw: Record) -> None:
-    """Run the chosen controller and the mixing of motors, at 500 Hz.
+    """Run the chosen controller and the mixing of motors, at 500 Hz; Brescianini's at 1 kHz.
 
     A user's law is only marked as due here; it has written its output since the last pass.
     """
@@ -149,6 +155,10 @@ def _run_controller(fw: Record) -> None:
         mellinger.control(fw, sp)
     elif fw.controller == CONTROLLER_KINDS.lee:
         lee.control(fw, sp)
+    elif fw.controller == CONTROLLER_KINDS.indi:
+        indi.control(fw, sp)
+    elif fw.controller == CONTROLLER_KINDS.brescianini:
+        brescianini.control(fw, sp)
     else:
         fw.law_due = 1
     mixing.drive_motors(fw, supervisor.may_fly(fw))
@@ -178,12 +188,15 @@ def stabilize(
     estimator.collect_samples(fw)
     fw.vbat_low += mixing.POWER_DISTRIBUTION.voltage_low_pass * (fw.vbat - fw.vbat_low)
     tick = fw.tick
-    if tick % TASK_PERIODS.attitude == 0:
-        if tick % TASK_PERIODS.position == 0:
-            estimator.predict(fw)
-            planner.update(fw)
-            if tick % TASK_PERIODS.supervisor == 0:
-                supervisor.update(fw)
+    if tick % TASK_PERIODS.position == 0:
+        estimator.predict(fw)
+        planner.update(fw)
+        if tick % TASK_PERIODS.supervisor == 0:
+            supervisor.update(fw)
+    if (
+        tick % TASK_PERIODS.attitude == 0
+        or fw.controller == CONTROLLER_KINDS.brescianini
+    ):
         _run_controller(fw)
         mixing.compute_shares(fw)
     fw.tick = tick + 1
@@ -196,6 +209,7 @@ def forget(fleet: Fleet, i: int) -> None:
     cascade.reset(fw)
     mellinger.reset(fw)
     lee.reset(fw)
+    indi.reset(fw)
     fw.output = 0
     fw.thrust = 0.0
     fw.roll_out = 0.0

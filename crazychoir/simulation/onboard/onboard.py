@@ -31,6 +31,8 @@ from crazychoir.types import State, Vec
 CONTROLLERS_BY_NAME = {
     "pid": CONTROLLER_KINDS.pid,
     "mellinger": CONTROLLER_KINDS.mellinger,
+    "indi": CONTROLLER_KINDS.indi,
+    "brescianini": CONTROLLER_KINDS.brescianini,
     "lee": CONTROLLER_KINDS.lee,
 }
 _commander = EntryPoints(commander)
@@ -207,11 +209,8 @@ class Onboard:
         laws.write_answer(fw, self.law_name, answer)
 
     def _choose(self, controller: str | float) -> None:
-        codes = {
-            0: CONTROLLER_KINDS.pid,
-            CONTROLLER_KINDS.pid: CONTROLLER_KINDS.pid,
-            CONTROLLER_KINDS.mellinger: CONTROLLER_KINDS.mellinger,
-            CONTROLLER_KINDS.lee: CONTROLLER_KINDS.lee,
+        codes = {0: CONTROLLER_KINDS.pid} | {
+            code: code for code in CONTROLLERS_BY_NAME.values()
         }
         if isinstance(controller, str) and controller in self.laws:
             self.law_name = controller
@@ -228,7 +227,8 @@ class Onboard:
             raise ConfigError(
                 "stabilizer.controller",
                 controller,
-                f"{names}, or 0, 1 (pid), 2 (mellinger), 5 (lee), 6 (registered)",
+                f"{names}, or 0, 1 (pid), 2 (mellinger), 3 (indi), 4 (brescianini), 5 (lee), "
+                "6 (registered)",
                 "Offer your own with register(name, law) first.",
             )
         _loop.forget(self.rows, self.row)

@@ -3,7 +3,13 @@
 import difflib
 
 from crazychoir.errors import ConfigError
-from crazychoir.simulation.onboard.record import LEE_DEFAULTS, MELLINGER_DEFAULTS
+from crazychoir.simulation.onboard.record import (
+    BRESCIANINI_DEFAULTS,
+    INDI_DEFAULTS,
+    INDI_POSITION_DEFAULTS,
+    LEE_DEFAULTS,
+    MELLINGER_DEFAULTS,
+)
 
 ParameterPlace = tuple[str, ...]
 
@@ -67,6 +73,10 @@ PARAMETER_PLACES: dict[str, ParameterPlace] = {
         f"ctrlLee.{name}": ("lee", name)
         for name in ("mass", *LEE_DEFAULTS, "Kpos_Ix", "Kpos_Iy", "Kpos_Iz")
     },
+    **{f"ctrlAtt.{name}": ("brescianini", name) for name in BRESCIANINI_DEFAULTS},
+    **{f"ctrlINDI.{name}": ("indi", name) for name in INDI_DEFAULTS},
+    "ctrlINDI.outerLoopActive": ("indi", "outer_loop"),
+    **{f"posCtrlIndi.{name}": ("indi", name) for name in INDI_POSITION_DEFAULTS},
     "colAv.enable": ("avoids",),
     **{
         f"colAv.{name}": ("avoidance", field) for name, field in AVOIDANCE_NAMES.items()

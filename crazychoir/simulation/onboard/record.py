@@ -51,6 +51,10 @@ class ControllerKinds(NamedTuple):
     """The cascade of PIDs."""
     mellinger: int = 2
     """Mellinger's controller."""
+    indi: int = 3
+    """Incremental nonlinear dynamic inversion."""
+    brescianini: int = 4
+    """Brescianini's controller."""
     lee: int = 5
     """Lee's controller."""
     out_of_tree: int = 6
@@ -185,6 +189,34 @@ lee_fields = np.dtype(
 ahead, left and up are x, y and z of the wanted body axes; wd is the wanted rate in body axes, rad/s.
 """
 
+indi_fields = np.dtype(
+    [
+        *_real_fields(
+            "thrust_threshold bound_ctrl_input g1_p g1_q g1_r g2 ref_err_p ref_err_q ref_err_r "
+            "ref_rate_p ref_rate_q ref_rate_r act_dyn_p act_dyn_q act_dyn_r filt_cutoff filt_cutoff_r "
+            "K_xi_x K_xi_y K_xi_z K_dxi_x K_dxi_y K_dxi_z pq_clamping"
+        ),
+        ("outer_loop", np.int64),  # 0: the PIDs take its place
+        # low-pass filters: b0, a1, a2 of roll and pitch, yaw, outer loop; two delays of each
+        ("filters", np.float64, (3, 3)),
+        ("delays", np.float64, (13, 2)),
+        # filtered rates of the last pass, rad/s; commands; what the rotors have reached of them
+        *_real_fields("rate_p rate_q rate_r u_p u_q u_r reached_p reached_q reached_r"),
+        ("du_r", np.float64),  # last increment of the yaw command
+        # rad, and thrust commands
+        *_real_fields("wanted_roll wanted_pitch wanted_yaw"),
+        *_real_fields("outer_roll outer_pitch outer_thrust reached_thrust"),
+    ],
+    align=True,
+)
+"""Fields of INDI: parameters; memory. Axes are forward-right-down."""
+brescianini_fields = np.dtype(
+    _real_fields(
+        "tau_xy zeta_xy tau_z zeta_z tau_rp mixing_factor coll_fairness mass wx wy wz lift"
+    )
+)
+"""Fields of Brescianini's controller: parameters; wanted rates rad/s and thrust for the mass m/s2."""
+
 avoidance_fields = np.dtype(
     [
         # m: half of the least distance from a peer; corners of the flight area
@@ -294,6 +326,8 @@ drone_fields = np.dtype(
         ("planner", planner_fields),
         ("mellinger", mellinger_fields),
         ("lee", lee_fields),
+        ("indi", indi_fields),
+        ("brescianini", brescianini_fields),
         (
             "memory",
             np.float32,
@@ -402,6 +436,43 @@ LEE_DEFAULTS = {
     "KI_y": 0.03,
     "KI_z": 0.03,
 }
+INDI_DEFAULTS = {
+    "thrust_threshold": 300.0,
+    "bound_ctrl_input": 32000.0,
+    "g1_p": 0.0066146,
+    "g1_q": 0.0052125,
+    "g1_r": 0.001497,
+    "g2": 0.000043475,
+    "ref_err_p": 5.0,
+    "ref_err_q": 5.0,
+    "ref_err_r": 5.0,
+    "ref_rate_p": 24.0,
+    "ref_rate_q": 24.0,
+    "ref_rate_r": 24.0,
+    "act_dyn_p": 0.03149,
+    "act_dyn_q": 0.03149,
+    "act_dyn_r": 0.03149,
+    "filt_cutoff": 8.0,
+    "filt_cutoff_r": 8.0,
+}
+INDI_POSITION_DEFAULTS = {
+    "K_xi_x": 1.0,
+    "K_xi_y": 1.0,
+    "K_xi_z": 1.0,
+    "K_dxi_x": 5.0,
+    "K_dxi_y": 5.0,
+    "K_dxi_z": 5.0,
+    "pq_clamping": 10.0,
+}
+BRESCIANINI_DEFAULTS = {
+    "tau_xy": 0.3,
+    "zeta_xy": 0.85,
+    "tau_z": 0.3,
+    "zeta_z": 0.85,
+    "tau_rp": 0.25,
+    "mixing_factor": 1.0,
+    "coll_fairness": 0.25,
+}
 AVOIDANCE_DEFAULTS: dict[str, float] = {
     "radius_x": 0.3,
     "radius_y": 0.3,
@@ -422,6 +493,14 @@ AVOIDANCE_DEFAULTS: dict[str, float] = {
     "kept_y": math.nan,
     "kept_z": math.nan,
 }
+PART_DEFAULTS: dict[str, dict[str, float]] = {
+    "mellinger": MELLINGER_DEFAULTS,
+    "lee": LEE_DEFAULTS,
+    "indi": {**INDI_DEFAULTS, **INDI_POSITION_DEFAULTS, "outer_loop": 1},
+    "brescianini": BRESCIANINI_DEFAULTS,
+    "avoidance": AVOIDANCE_DEFAULTS,
+}
+"""Values after power-on of the fields of each part, without the mass."""
 SCALAR_DEFAULTS: dict[str, float] = {
     "vbat": 4.2,
     "vbat_low": 4.2,
@@ -468,12 +547,11 @@ def make_fleet(n: int, platform: Platform) -> Fleet:
         pid = rows[f"{name}_pid"]
         pid["kp"], pid["ki"], pid["kd"], pid["i_limit"] = row
     rows["vz_pid"]["limit"] = 32.767  # half of 65535, by the scale of 1000
-    for defaults, part in ((MELLINGER_DEFAULTS, "mellinger"), (LEE_DEFAULTS, "lee")):
+    for part, defaults in PART_DEFAULTS.items():
         for name, value in defaults.items():
             rows[part][name] = value
+    for part in ("mellinger", "lee", "brescianini"):
         rows[part]["mass"] = firmware.mass
-    for name, value in AVOIDANCE_DEFAULTS.items():
-        rows["avoidance"][name] = value
     for name, value in SCALAR_DEFAULTS.items():
         rows[name] = value
     if firmware.needs_arming:

@@ -145,8 +145,8 @@ def test_drones_of_one_array_do_not_know_of_each_other():
             "firmware log variable: found stateEstimat.x; .*stateEstimate.x",
         ),
         (
-            lambda d: d.set("stabilizer.controller", "indi"),
-            "found indi; allowed: pid, mellinger, lee, or 0, 1",
+            lambda d: d.set("stabilizer.controller", "lqr"),
+            "found lqr; allowed: pid, mellinger, indi, brescianini, lee, or 0, 1",
         ),
         (
             lambda d: d.set("stabilizer.controller", 6),
