@@ -110,9 +110,8 @@ def _link_readings(me: DroneParts) -> Readings:
 def _sensor_readings(me: DroneParts) -> Readings:
     on = me.onboard
     return {
-        "baro.asl": lambda: on.estimate.p[2],
         "baro.pressure": lambda: (
-            1013.25 * max(1.0 - 2.25577e-5 * on.estimate.p[2], 0.0) ** 5.25588
+            1013.25 * max(1.0 - 2.25577e-5 * on.log("baro.asl"), 0.0) ** 5.25588
         ),
         "baro.temp": lambda: 25.0,
         "supervisor.accNorm": lambda: math.hypot(

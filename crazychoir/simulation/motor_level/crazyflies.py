@@ -46,6 +46,7 @@ from crazychoir.simulation.onboard.loop import stabilize
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import (
     CONTROLLER_KINDS,
+    FLOOR_ALTITUDE,
     Fleet,
     make_mixed_fleet,
     rows,
@@ -155,6 +156,7 @@ def _advance(
         store_block(m, first, x, resting, impact, lift)
         for k in range(min(LANE_COUNT, x.shape[0] - first)):
             firmware[first + k].vbat = m[BATTERY_VOLTAGE + k]
+            firmware[first + k].asl = FLOOR_ALTITUDE + x[first + k, 2]
 
 
 @kernel(rows)

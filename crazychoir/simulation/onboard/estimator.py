@@ -19,7 +19,13 @@ from crazychoir.numerics.math3d import (
     rotation_exponential,
     rotation_logarithm,
 )
-from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
+from crazychoir.simulation.onboard.record import (
+    ESTIMATOR_KINDS,
+    Fleet,
+    Record,
+    rows,
+    whole,
+)
 from crazychoir.simulation.onboard.units import FIRMWARE_GRAVITY
 from crazychoir.types import Bools, Ints, Mat, Vec
 
@@ -281,15 +287,17 @@ def _correct_attitude(fw: Record, q: tuple[float, float, float, float]) -> None:
 
 @kernel(rows, whole)
 def reset(fleet: Fleet, i: int) -> None:
-    """Start the estimate anew."""
-    start_estimate(fleet[i])
+    """Start the estimate anew; another estimator than the Kalman filter is not touched."""
+    fw = fleet[i]
+    if fw.estimator == ESTIMATOR_KINDS.kalman:
+        start_estimate(fw)
 
 
 @kernel(rows, whole, vector)
 def see_position(fleet: Fleet, i: int, p: Vec) -> None:
     """Correct by a position (3,) m; a position that is not finite is ignored."""
     fw = fleet[i]
-    if is_finite(p):
+    if fw.estimator == ESTIMATOR_KINDS.kalman and is_finite(p):
         predict(fw)
         _correct_position(fw, p[0], p[1], p[2])
         _update_angles(fw)
@@ -309,6 +317,8 @@ def see_pose(fleet: Fleet, i: int, p: Vec, q: Vec) -> None:
     """
     fw = fleet[i]
     n = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3]
+    if fw.estimator != ESTIMATOR_KINDS.kalman:
+        return
     if not (is_finite(p) and n > 0.25 and n < 4.0):
         return
     predict(fw)
@@ -347,7 +357,7 @@ def see_velocity(fleet: Fleet, i: int, v: Vec, std: float) -> None:
     std: m/s: standard deviation of an axis
     """
     fw = fleet[i]
-    if not is_finite(v):
+    if fw.estimator != ESTIMATOR_KINDS.kalman or not is_finite(v):
         return
     predict(fw)
     r = std * std

@@ -30,6 +30,11 @@ def _field_reader(name: str, factor: float = 1.0) -> FleetReader:
     return lambda rows, i: float(rows[name][i]) * factor
 
 
+def _part_reader(part: str, field: str) -> FleetReader:
+    """Return a reader of a field of a part of the record."""
+    return lambda rows, i: float(rows[part][field][i])
+
+
 def truncate_to_range(value: float, low: float, high: float) -> int:
     """Truncate to an integer within a range; 0 for a value that is not a number."""
     return 0 if math.isnan(value) else int(min(max(value, low), high))
@@ -333,6 +338,13 @@ CONTROLLER_LOG_READERS: dict[str, FleetReader] = {
 """Readers of the log variables by name."""
 
 
+ATTITUDE_FILTER_FIELDS = {
+    **{f"q{axis}": f"q{axis}" for axis in "wxyz"},
+    **{f"gravity{axis.upper()}": f"gravity_{axis}" for axis in "xyz"},
+    "accZbase": "base_force",
+    "isCalibrated": "calibrated",
+}
+"""Fields of the log variables of the group sensfusion6."""
 _supervisor = EntryPoints(supervisor)
 FIRMWARE_LOG_READERS: dict[str, FleetReader] = {
     **CONTROLLER_LOG_READERS,
@@ -352,6 +364,15 @@ FIRMWARE_LOG_READERS: dict[str, FleetReader] = {
         f"kalman.var{name}": _field_reader(field)
         for name, field in VARIANCE_FIELDS.items()
     },
+    **{
+        f"sensfusion6.{name}": _part_reader("complementary", field)
+        for name, field in ATTITUDE_FILTER_FIELDS.items()
+    },
+    "sensfusion6.isInit": lambda rows, i: 1.0,
+    "posEstAlt.estimatedZ": _part_reader("complementary", "height"),
+    "posEstAlt.estVZ": _part_reader("complementary", "climb"),
+    "posEstAlt.velocityZ": _part_reader("complementary", "speed"),
+    "baro.asl": _field_reader("asl"),
     **{f"kalman.q{k}": _field_reader(f"q{c}") for k, c in enumerate("wxyz")},
     **{
         f"stabilizer.{name}": _field_reader(name)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 from crazychoir.numerics.kernels import kernel, real
 from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.simulation.onboard import (
+    complementary,
     estimator,
     mixing,
     planner,
@@ -22,6 +23,7 @@ from crazychoir.simulation.onboard.controllers import (
 )
 from crazychoir.simulation.onboard.record import (
     CONTROLLER_KINDS,
+    ESTIMATOR_KINDS,
     Fleet,
     Record,
     rows,
@@ -172,7 +174,8 @@ def stabilize(
 
     fw.motors are the shares of the full thrust of the four motors. If fw.law_due is 1 afterwards,
     `Onboard.obey_law` must run the user's controller before the next ms.
-    fw: memory of the drone, with its battery voltage in fw.vbat, V
+    fw: memory of the drone, with its battery voltage in fw.vbat, V, and the height above the sea
+        that its barometer measures in fw.asl, m
     gx, gy, gz: rad/s, body: readings of the gyroscope
     ax, ay, az: m/s2, body: specific force
     """
@@ -185,7 +188,10 @@ def stabilize(
     fw.ax = _filter_accelerometer(fw, 0, c * ax)
     fw.ay = _filter_accelerometer(fw, 1, c * ay)
     fw.az = _filter_accelerometer(fw, 2, c * az)
-    estimator.collect_samples(fw)
+    if fw.estimator == ESTIMATOR_KINDS.kalman:
+        estimator.collect_samples(fw)
+    else:
+        complementary.estimate(fw)
     fw.vbat_low += mixing.POWER_DISTRIBUTION.voltage_low_pass * (fw.vbat - fw.vbat_low)
     tick = fw.tick
     if tick % TASK_PERIODS.position == 0:

@@ -21,6 +21,7 @@ from crazychoir.simulation.onboard import (
 from crazychoir.simulation.onboard.board_planner import BoardPlanner, TrajectoryStore
 from crazychoir.simulation.onboard.record import (
     CONTROLLER_KINDS,
+    ESTIMATOR_KINDS,
     EntryPoints,
     Fleet,
     make_fleet,
@@ -234,6 +235,17 @@ class Onboard:
         _loop.forget(self.rows, self.row)
         self.record["controller"] = code
 
+    def _choose_estimator(self, code: float) -> None:
+        """Choose the estimator; the Kalman filter starts anew, the complementary filter goes on."""
+        kind = ESTIMATOR_KINDS.kalman if code == 0 else code
+        if kind not in ESTIMATOR_KINDS:
+            raise ConfigError(
+                "stabilizer.estimator", code, "0, 1 (complementary) or 2 (kalman)"
+            )
+        if kind != self.record["estimator"]:
+            self.record["estimator"] = kind
+            _estimator.reset(self.rows, self.row)
+
     def set(self, name: str, value: str | float) -> None:
         """Write a parameter by the firmware's name; the controller by number or by name.
 
@@ -248,6 +260,8 @@ class Onboard:
         """Write a parameter as `set` does; as in the firmware, NaN and infinity are taken too."""
         if name == "stabilizer.controller":
             self._choose(value)
+        elif name == "stabilizer.estimator":
+            self._choose_estimator(float(value))
         elif name == parameters.RESET_ESTIMATION:
             if value:
                 _estimator.reset(self.rows, self.row)

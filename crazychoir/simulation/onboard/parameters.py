@@ -43,6 +43,13 @@ AVOIDANCE_NAMES = {
     "vorIters": "passes",
 }
 """Fields of the parameters of the group colAv."""
+HEIGHT_NAMES = {
+    "estAlphaAsl": "height_share",
+    "velFactor": "speed_factor",
+    "velZAlpha": "speed_share",
+    "vAccDeadband": "dead_band",
+}
+"""Fields of the parameters of the group posEstAlt."""
 PARAMETER_PLACES: dict[str, ParameterPlace] = {
     **_place_gains(
         "pid_rate",
@@ -108,7 +115,15 @@ PARAMETER_PLACES: dict[str, ParameterPlace] = {
     "motorPowerSet.enable": ("power_set",),
     **{f"motorPowerSet.m{k}": (f"power_{k}",) for k in (1, 2, 3, 4)},
     "powerDist.idleThrust": ("idle",),
+    **{
+        f"posEstAlt.{name}": ("complementary", field)
+        for name, field in HEIGHT_NAMES.items()
+    },
+    "sensfusion6.kp": ("complementary", "kp"),
+    "sensfusion6.ki": ("complementary", "ki"),
+    "sensfusion6.baseZacc": ("complementary", "base_force"),
     "stabilizer.controller": ("controller",),
+    "stabilizer.estimator": ("estimator",),
     "stabilizer.stop": ("estop",),
     "supervisor.prefltTimeout": ("preflight_timeout",),
     "supervisor.landedTimeout": ("landed_timeout",),

@@ -64,6 +64,18 @@ class ControllerKinds(NamedTuple):
 CONTROLLER_KINDS = ControllerKinds()
 
 
+class EstimatorKinds(NamedTuple):
+    """Values of the parameter stabilizer.estimator."""
+
+    complementary: int = 1
+    """The complementary filter."""
+    kalman: int = 2
+    """The extended Kalman filter."""
+
+
+ESTIMATOR_KINDS = EstimatorKinds()
+
+
 class OutputKinds(NamedTuple):
     """Kinds of output of a controller."""
 
@@ -217,6 +229,21 @@ brescianini_fields = np.dtype(
 )
 """Fields of Brescianini's controller: parameters; wanted rates rad/s and thrust for the mass m/s2."""
 
+complementary_fields = np.dtype(
+    [
+        # gains; specific force at rest, g; share of the height and of the speed that stays
+        *_real_fields(
+            "kp ki base_force height_share speed_share speed_factor dead_band"
+        ),
+        ("calibrated", np.int64),
+        *_real_fields("bias_x bias_y bias_z"),  # rad/s
+        *_real_fields("qx qy qz qw gravity_x gravity_y gravity_z"),
+        *_real_fields("speed height climb"),  # m/s, m above the sea, m/s
+    ],
+    align=True,
+)
+"""Fields of the complementary estimator: parameters; memory."""
+
 avoidance_fields = np.dtype(
     [
         # m: half of the least distance from a peer; corners of the flight area
@@ -259,7 +286,12 @@ drone_fields = np.dtype(
         *_real_fields("gx gy gz ax ay az"),  # filtered: deg/s, g
         # sum in m/s2 and count of the samples at rest; scale that makes their mean 1 g
         *_real_fields("acc_sum acc_count acc_scale"),
+        (
+            "asl",
+            np.float64,
+        ),  # m above the sea, by the barometer; written by the simulation
         # estimator
+        ("estimator", np.int64),
         *_real_fields("p_sum q_sum r_sum fx_sum fy_sum fz_sum"),
         ("samples", np.int64),
         *_real_fields("x y z vx vy vz qx qy qz qw acx acy acz roll pitch yaw"),
@@ -323,6 +355,7 @@ drone_fields = np.dtype(
         ("level", setpoint_fields),
         ("avoided", setpoint_fields),
         ("avoidance", avoidance_fields),
+        ("complementary", complementary_fields),
         ("planner", planner_fields),
         ("mellinger", mellinger_fields),
         ("lee", lee_fields),
@@ -370,6 +403,7 @@ class EntryPoints:
         return entry_point
 
 
+FLOOR_ALTITUDE = 50.0  # m above the sea, of the world's origin; chosen
 LARGEST_SINGLE = float(np.finfo(np.float32).max)
 """Greatest number of 32 bits: the firmware's value for a flight area without limits."""
 # Gains kp, ki, kd and limit of the integral (chosen for velocity and position) of pid_rate,
@@ -493,17 +527,30 @@ AVOIDANCE_DEFAULTS: dict[str, float] = {
     "kept_y": math.nan,
     "kept_z": math.nan,
 }
+COMPLEMENTARY_DEFAULTS = {
+    "kp": 0.8,
+    "ki": 0.002,
+    "base_force": 1.0,
+    "height_share": 0.9,
+    "speed_share": 0.995,
+    "speed_factor": 1.0,
+    "dead_band": 0.04,
+    "qw": 1.0,
+}
 PART_DEFAULTS: dict[str, dict[str, float]] = {
     "mellinger": MELLINGER_DEFAULTS,
     "lee": LEE_DEFAULTS,
     "indi": {**INDI_DEFAULTS, **INDI_POSITION_DEFAULTS, "outer_loop": 1},
     "brescianini": BRESCIANINI_DEFAULTS,
     "avoidance": AVOIDANCE_DEFAULTS,
+    "complementary": COMPLEMENTARY_DEFAULTS,
 }
 """Values after power-on of the fields of each part, without the mass."""
 SCALAR_DEFAULTS: dict[str, float] = {
     "vbat": 4.2,
     "vbat_low": 4.2,
+    "asl": FLOOR_ALTITUDE,
+    "estimator": ESTIMATOR_KINDS.kalman,
     "ext_pos_std": 0.01,
     "ext_quat_std": 4.5e-3,
     "noise_xy": 0.5,
