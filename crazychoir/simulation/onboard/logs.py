@@ -35,6 +35,11 @@ def _part_reader(part: str, field: str) -> FleetReader:
     return lambda rows, i: float(rows[part][field][i])
 
 
+def _motor_variance_reader(axis: str, k: int) -> FleetReader:
+    """Return a reader of the variance of the accelerometer in the test of propeller k."""
+    return lambda rows, i: float(rows["health"][f"variance_{axis}"][i, k])
+
+
 def truncate_to_range(value: float, low: float, high: float) -> int:
     """Truncate to an integer within a range; 0 for a value that is not a number."""
     return 0 if math.isnan(value) else int(min(max(value, low), high))
@@ -373,6 +378,15 @@ FIRMWARE_LOG_READERS: dict[str, FleetReader] = {
     "posEstAlt.estVZ": _part_reader("complementary", "climb"),
     "posEstAlt.velocityZ": _part_reader("complementary", "speed"),
     "baro.asl": _field_reader("asl"),
+    **{
+        f"health.motorVar{axis.upper()}M{k + 1}": _motor_variance_reader(axis, k)
+        for axis in "xy"
+        for k in range(4)
+    },
+    "health.motorPass": _part_reader("health", "passed"),
+    "health.motorTestCount": _part_reader("health", "count"),
+    "health.batterySag": _part_reader("health", "sag"),
+    "health.batteryPass": _part_reader("health", "battery_passed"),
     **{f"kalman.q{k}": _field_reader(f"q{c}") for k, c in enumerate("wxyz")},
     **{
         f"stabilizer.{name}": _field_reader(name)

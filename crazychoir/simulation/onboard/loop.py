@@ -8,6 +8,7 @@ from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.simulation.onboard import (
     complementary,
     estimator,
+    health,
     mixing,
     planner,
     supervisor,
@@ -188,11 +189,17 @@ def stabilize(
     fw.ax = _filter_accelerometer(fw, 0, c * ax)
     fw.ay = _filter_accelerometer(fw, 1, c * ay)
     fw.az = _filter_accelerometer(fw, 2, c * az)
+    fw.vbat_low += mixing.POWER_DISTRIBUTION.voltage_low_pass * (fw.vbat - fw.vbat_low)
+    if fw.start_propellers | fw.start_battery | fw.test_state:
+        g = SENSOR_SETTINGS.g_per_acceleration
+        health.run_test(fw, g * c * ax, g * c * ay)
+        mixing.compute_shares(fw)
+        fw.tick += 1
+        return
     if fw.estimator == ESTIMATOR_KINDS.kalman:
         estimator.collect_samples(fw)
     else:
         complementary.estimate(fw)
-    fw.vbat_low += mixing.POWER_DISTRIBUTION.voltage_low_pass * (fw.vbat - fw.vbat_low)
     tick = fw.tick
     if tick % TASK_PERIODS.position == 0:
         estimator.predict(fw)

@@ -50,6 +50,13 @@ HEIGHT_NAMES = {
     "vAccDeadband": "dead_band",
 }
 """Fields of the parameters of the group posEstAlt."""
+HEALTH_NAMES = {
+    "propTestThreshold": "most",
+    "propTestThresholdL": "least",
+    "propTestPWMRatio": "propeller_ratio",
+    "batTestPWMRatio": "battery_ratio",
+}
+"""Fields of the parameters of the group health that do not start a test."""
 PARAMETER_PLACES: dict[str, ParameterPlace] = {
     **_place_gains(
         "pid_rate",
@@ -95,6 +102,9 @@ PARAMETER_PLACES: dict[str, ParameterPlace] = {
     "flightmode.poshold": ("holds_position",),
     "flightmode.posSet": ("sets_position",),
     "flightmode.yawMode": ("yaw_mode",),
+    "health.startPropTest": ("start_propellers",),
+    "health.startBatTest": ("start_battery",),
+    **{f"health.{name}": ("health", field) for name, field in HEALTH_NAMES.items()},
     "hlCommander.vtoff": ("planner", "take_off_speed"),
     "hlCommander.vland": ("planner", "landing_speed"),
     "kalman.initialX": ("initial_x",),

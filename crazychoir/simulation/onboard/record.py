@@ -244,6 +244,26 @@ complementary_fields = np.dtype(
 )
 """Fields of the complementary estimator: parameters; memory."""
 
+health_fields = np.dtype(
+    [
+        # ms of a motor in the test of the propellers, and of the first sample
+        *_integer_fields("on_ticks off_ticks sample_start"),
+        # PWM ratios: of the platform, and those that replace them above 0; limits in g2
+        *_real_fields("usual_propeller_ratio usual_battery_ratio"),
+        *_real_fields("propeller_ratio battery_ratio least most"),
+        # ms of the test or of this motor; motor; sums of the accelerometer, g and g2
+        *_integer_fields("tick motor"),
+        *_real_fields("sum_x sum_y square_x square_y idle_voltage least_voltage"),
+        # results: bits of the motors, number of tests, g2 of each motor; V
+        *_integer_fields("passed count battery_passed"),
+        ("variance_x", np.float64, (4,)),
+        ("variance_y", np.float64, (4,)),
+        ("sag", np.float64),
+    ],
+    align=True,
+)
+"""Fields of the health tests: figures of the platform, parameters, memory, results."""
+
 avoidance_fields = np.dtype(
     [
         # m: half of the least distance from a peer; corners of the flight area
@@ -277,6 +297,8 @@ PID_NAMES = "roll_rate pitch_rate yaw_rate roll pitch yaw vx vy vz x y z"
 drone_fields = np.dtype(
     [
         ("tick", np.int64),  # ms
+        # health.startPropTest, .startBatTest, and the state of the test
+        *_integer_fields("start_propellers start_battery test_state"),
         # written and read by the simulation
         # shares of firmware.thrust_max that the motors give, above 1 as well
         ("motors", np.float64, (4,)),
@@ -356,6 +378,7 @@ drone_fields = np.dtype(
         ("avoided", setpoint_fields),
         ("avoidance", avoidance_fields),
         ("complementary", complementary_fields),
+        ("health", health_fields),
         ("planner", planner_fields),
         ("mellinger", mellinger_fields),
         ("lee", lee_fields),
@@ -537,6 +560,23 @@ COMPLEMENTARY_DEFAULTS = {
     "dead_band": 0.04,
     "qw": 1.0,
 }
+BRUSHED_HEALTH_TESTS = {
+    "on_ticks": 50,
+    "off_ticks": 950,
+    "sample_start": 0,
+    "usual_propeller_ratio": 65535.0,
+    "usual_battery_ratio": 40000.0,
+    "least": 0.01,
+}
+# Without a ratio of its own a brushless motor is not tested: a user must choose one.
+BRUSHLESS_HEALTH_TESTS = {
+    **BRUSHED_HEALTH_TESTS,
+    "on_ticks": 2000,
+    "off_ticks": 1000,
+    "sample_start": 1000,
+    "usual_propeller_ratio": 0.0,
+    "usual_battery_ratio": 0.0,
+}
 PART_DEFAULTS: dict[str, dict[str, float]] = {
     "mellinger": MELLINGER_DEFAULTS,
     "lee": LEE_DEFAULTS,
@@ -594,7 +634,8 @@ def make_fleet(n: int, platform: Platform) -> Fleet:
         pid = rows[f"{name}_pid"]
         pid["kp"], pid["ki"], pid["kd"], pid["i_limit"] = row
     rows["vz_pid"]["limit"] = 32.767  # half of 65535, by the scale of 1000
-    for part, defaults in PART_DEFAULTS.items():
+    tests = BRUSHLESS_HEALTH_TESTS if firmware.needs_arming else BRUSHED_HEALTH_TESTS
+    for part, defaults in {**PART_DEFAULTS, "health": tests}.items():
         for name, value in defaults.items():
             rows[part][name] = value
     for part in ("mellinger", "lee", "brescianini"):
