@@ -169,6 +169,7 @@ def test_mellingers_law(tilted):
     tilted.set("ctrlMel.ki_m_xy", 5e5)
     tilted.set("ctrlMel.kR_xy", 2e4)  # so that no moment is at its limit
     tilted.set("ctrlMel.kR_z", 1e4)
+    tilted.set("ctrlMel.kd_omega_rp", 0.0)
     run_mellinger(tilted.rows)
     r, p, v, a, w, wd = reference(tilted)
     f = (
@@ -188,14 +189,36 @@ def test_mellingers_law(tilted):
     assert np.max(np.abs(m)) < 32000
 
 
-def test_mellingers_rate_damping_counts_from_the_second_pass(tilted):
+def test_mellingers_rate_damping_is_the_change_since_the_last_pass(tilted):
     run_mellinger(tilted.rows)
-    first = float(tilted.record["roll_out"])
+    run_mellinger(tilted.rows)
+    steady = float(tilted.record["roll_out"])
     tilted.record["gx"] += math.degrees(0.01)
     run_mellinger(tilted.rows)
-    assert tilted.record["roll_out"] - first == pytest.approx(
-        -20000 * 0.01 - 200 * 0.01 / 0.002, rel=0.01
-    )
+    change = -20000 * 0.01 - 200 * 0.01 / 0.002
+    assert tilted.record["roll_out"] - steady == pytest.approx(change, rel=0.01)
+
+
+def test_mellingers_rate_damping_starts_from_rates_of_zero(tilted):
+    w, wd = reference(tilted)[4:6]
+    tilted.set("ctrlMel.kd_omega_rp", 1.0)
+    run_mellinger(tilted.rows)
+    first = float(tilted.record["roll_out"])
+    run_mellinger(tilted.rows)
+    kick = (wd[0] - w[0]) / 0.002
+    assert abs(kick) > 50.0
+    assert first - tilted.record["roll_out"] == pytest.approx(kick, abs=5.0)
+
+
+def test_a_negative_thrust_of_mellingers_controller_is_kept_without_moments(tilted):
+    tilted.record["wanted"]["az"] = -30.0
+    tilted.record["gx"] = 100.0
+    run_mellinger(tilted.rows)
+    fw = tilted.record
+    assert fw["thrust"] < 0.0
+    assert [fw["roll_out"], fw["pitch_out"], fw["yaw_out"]] == [0.0, 0.0, 0.0]
+    assert fw["mellinger"]["iz"] == 0.0
+    assert fw["mellinger"]["wx"] == pytest.approx(math.radians(100.0))
 
 
 def test_lees_law(tilted):

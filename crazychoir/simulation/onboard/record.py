@@ -184,7 +184,7 @@ planner_fields = np.dtype(
 mellinger_fields = np.dtype(
     _real_fields(
         "mass massThrust kp_xy kd_xy ki_xy i_range_xy kp_z kd_z ki_z i_range_z kR_xy kw_xy ki_m_xy i_range_m_xy "
-        "kR_z kw_z ki_m_z i_range_m_z kd_omega_rp ix iy iz imx imy imz wx wy wx_set wy_set fresh "
+        "kR_z kw_z ki_m_z i_range_m_z kd_omega_rp ix iy iz imx imy imz wx wy wx_set wy_set "
         "zdx zdy zdz"
     )
 )

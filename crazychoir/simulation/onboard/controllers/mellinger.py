@@ -21,10 +21,9 @@ MOST_MOMENT = 32000.0  # limit of the roll, pitch and yaw commands
 
 @kernel()
 def reset(fw: Record) -> None:
-    """Reset the integrals and the rates of the last pass."""
+    """Reset the integrals; as in the firmware, the rates of the last pass stay."""
     m = fw.mellinger
     m.ix = m.iy = m.iz = m.imx = m.imy = m.imz = 0.0
-    m.fresh = 0.0
 
 
 @kernel()
@@ -71,14 +70,13 @@ def _compute_wanted_attitude(fw: Record, sp: Record) -> tuple[Axes, float]:
 def _compute_damping(
     m: Record, w: tuple[float, float, float], wd: tuple[float, float, float]
 ) -> tuple[float, float]:
-    """Return d(w_d - w)/dt of roll and pitch, rad/s2; 0 at the first pass."""
-    x = m.fresh * ((wd[0] - m.wx_set) - (w[0] - m.wx)) / CONTROL_PERIOD
-    y = m.fresh * ((wd[1] - m.wy_set) - (w[1] - m.wy)) / CONTROL_PERIOD
+    """Return d(w_d - w)/dt of roll and pitch, rad/s2; before the first pass the rates are 0."""
+    x = ((wd[0] - m.wx_set) - (w[0] - m.wx)) / CONTROL_PERIOD
+    y = ((wd[1] - m.wy_set) - (w[1] - m.wy)) / CONTROL_PERIOD
     m.wx = w[0]
     m.wy = w[1]
     m.wx_set = wd[0]
     m.wy_set = wd[1]
-    m.fresh = 1.0
     return x, y
 
 
@@ -89,9 +87,9 @@ def control(fw: Record, sp: Record) -> None:
         T = massThrust F . z_b
         M = -kR e_R + kw (w_d - w) - ki_m int e_R + kd_omega d(w_d - w)/dt
 
-    e_R = (Rd^T R - R^T Rd)^v, not halved. A thrust of 0 resets the integrals. w_d is the body rate
-    of the set-point, not rotated; the pitch rate of an RPYT set-point has the wrong sign, as in the
-    firmware.
+    e_R = (Rd^T R - R^T Rd)^v, not halved. A thrust of 0 or less is kept; it resets the integrals and
+    gives no moments. w_d is the body rate of the set-point, not rotated; the pitch rate of an RPYT
+    set-point has the wrong sign, as in the firmware.
     Source: Mellinger & Kumar 2011, ICRA; modes, gains and integrals: controller_mellinger of the
     firmware.
     """
@@ -102,11 +100,6 @@ def control(fw: Record, sp: Record) -> None:
     m.zdz = axes[2][2]
     fw.output = OUTPUT_KINDS.legacy
     fw.thrust = sp.thrust if sp.mode_z == AXIS_MODES.disabled else m.massThrust * force
-    if fw.thrust <= 0.0:
-        fw.thrust = fw.roll_out = fw.pitch_out = fw.yaw_out = 0.0
-        reset(fw)
-        return
-    e = compute_attitude_error(axes, fw)
     w = (math.radians(fw.gx), math.radians(fw.gy), math.radians(fw.gz))
     wd = (
         math.radians(sp.roll_rate),
@@ -114,6 +107,11 @@ def control(fw: Record, sp: Record) -> None:
         math.radians(sp.yaw_rate),
     )
     dx, dy = _compute_damping(m, w, wd)
+    if fw.thrust <= 0.0:
+        fw.roll_out = fw.pitch_out = fw.yaw_out = 0.0
+        reset(fw)
+        return
+    e = compute_attitude_error(axes, fw)
     m.imx = clamp(m.imx - e[0] * CONTROL_PERIOD, m.i_range_m_xy)
     m.imy = clamp(m.imy - e[1] * CONTROL_PERIOD, m.i_range_m_xy)
     m.imz = clamp(m.imz - e[2] * CONTROL_PERIOD, m.i_range_m_z)
