@@ -350,6 +350,23 @@ ATTITUDE_FILTER_FIELDS = {
     "isCalibrated": "calibrated",
 }
 """Fields of the log variables of the group sensfusion6."""
+INDI_FIELDS = {
+    **{
+        f"ctrlINDI.cmd_{name}": f"u_{letter}"
+        for name, letter in (("roll", "p"), ("pitch", "q"), ("yaw", "r"))
+    },
+    **{f"ctrlINDI.u_act_dyn_{letter}": f"reached_{letter}" for letter in "pqr"},
+    **{f"ctrlINDI.Omega_f_{letter}": f"rate_{letter}" for letter in "pqr"},
+    "ctrlINDI.du_r": "du_r",
+    "ctrlINDI.n_p": "wanted_roll",
+    "ctrlINDI.n_q": "wanted_pitch",
+    "ctrlINDI.n_r": "wanted_yaw",
+    "posCtrlIndi.cmd_phi": "outer_roll",
+    "posCtrlIndi.cmd_theta": "outer_pitch",
+    "posCtrlIndi.T_incremented": "outer_thrust",
+    "posCtrlIndi.T_inner": "reached_thrust",
+}
+"""Fields of the log variables of INDI."""
 _supervisor = EntryPoints(supervisor)
 FIRMWARE_LOG_READERS: dict[str, FleetReader] = {
     **CONTROLLER_LOG_READERS,
@@ -373,6 +390,7 @@ FIRMWARE_LOG_READERS: dict[str, FleetReader] = {
         f"sensfusion6.{name}": _part_reader("complementary", field)
         for name, field in ATTITUDE_FILTER_FIELDS.items()
     },
+    **{name: _part_reader("indi", field) for name, field in INDI_FIELDS.items()},
     "sensfusion6.isInit": lambda rows, i: 1.0,
     "posEstAlt.estimatedZ": _part_reader("complementary", "height"),
     "posEstAlt.estVZ": _part_reader("complementary", "climb"),
