@@ -8,14 +8,14 @@ import numpy as np
 
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.radio import checks
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio.drone.own_estimate import LOG_NAMES
 from crazychoir.radio.drone.radio_drone import RadioDrone, SharedRadio
 from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.radio.protocol.crtp import PACKET_FORMS
 from crazychoir.types import XYZ, Pose
 
-READY = checks.ReadinessBit.CAN_FLY | checks.ReadinessBit.AUTO_ARM
+READY = SUPERVISOR_BITS.can_fly | SUPERVISOR_BITS.auto_arm
 
 
 STOP, LINE, LAND = (

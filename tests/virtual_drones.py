@@ -4,9 +4,9 @@ from dataclasses import replace
 
 from msgspec import structs
 
+from crazychoir.firmware.release import DESCRIBED_RELEASE
 from crazychoir.radio.protocol.crtp import PACKET_FORMS
 from crazychoir.radio.virtual.drone import (
-    MODELLED_DRONE,
     DroneIdentity,
     VirtualCrazyflie,
 )
@@ -25,7 +25,7 @@ class Hangar:
         (row,) = hall.drones
         row = structs.replace(row, platform=platform, yaw=yaw, home=(0.0, 0.0, height))
         self.world = replace(hall, drones=(row,), config=config).world(
-            0, identity.get("release", MODELLED_DRONE.release)
+            0, identity.get("release", DESCRIBED_RELEASE)
         )
         self.onboard = self.world.onboard[0]
         self.drone = VirtualCrazyflie(

@@ -5,14 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.errors import ConfigError
+from crazychoir.firmware.memories import TRAJECTORY_MEMORY
 from crazychoir.numerics.math3d import wrap_angle
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.polynomial import Polynomial7th
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.types import Mat, Vec
 
-MOST_PIECES = 31
-"""Largest number of pieces of 132 bytes in 4096 bytes of trajectory memory (Crazyflie firmware)."""
 FIT_INSTANTS = 33  # number of times of each piece at which the fit is checked
 SHORTEST_PIECE = 0.01  # s, least length of a piece
 FIT_TIMES = np.linspace(0.0, 1.0, FIT_INSTANTS)
@@ -82,7 +81,7 @@ def fit_upload(
     if not (upload.error <= tolerance and upload.yaw_error <= yaw_tolerance):
         k = len(upload.pieces.durations)
         found = f"{k} pieces that are {upload.error:.2g} m and {upload.yaw_error:.2g} rad off"
-        allowed = f"{tolerance:g} m and {yaw_tolerance:g} rad with at most {MOST_PIECES} pieces"
+        allowed = f"{tolerance:g} m and {yaw_tolerance:g} rad with at most {TRAJECTORY_MEMORY.most_pieces} pieces"
         raise ConfigError(
             "upload", found, allowed, "Split the trajectory, or allow a larger error."
         )
@@ -128,12 +127,15 @@ def _fit_pieces(
 
     Returns None if these are too many.
     """
-    if isinstance(trajectory, Piecewise) and len(trajectory.durations) <= MOST_PIECES:
+    if (
+        isinstance(trajectory, Piecewise)
+        and len(trajectory.durations) <= TRAJECTORY_MEMORY.most_pieces
+    ):
         return trajectory
     pieces: list[Mat] = []
     knots = [0.0]
     while trajectory.duration - knots[-1] > 1e-9:
-        if len(pieces) == MOST_PIECES:
+        if len(pieces) == TRAJECTORY_MEMORY.most_pieces:
             return None
         knots.append(
             knots[-1]

@@ -5,26 +5,8 @@ The functions take values and return the problems as text.
 
 import math
 from dataclasses import dataclass
-from enum import IntEnum
 
-from crazychoir.safety.rules.radio_watch import SupervisorBit
-
-
-class ReadinessBit(IntEnum):
-    """Bits of the firmware's supervisor; `SupervisorBit` has those of damage."""
-
-    CAN_ARM = 1 << 0
-    """The drone may be armed."""
-    ARMED = 1 << 1
-    """The drone is armed."""
-    AUTO_ARM = 1 << 2
-    """The drone arms itself."""
-    CAN_FLY = 1 << 3
-    """The drone may fly."""
-    FLYING = 1 << 4
-    """The drone flies."""
-    DECK_FAULT = 1 << 11
-    """A deck is faulty."""
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 
 
 def describe_harm(supervisor: int) -> str:
@@ -33,9 +15,9 @@ def describe_harm(supervisor: int) -> str:
     supervisor: bits of its supervisor
     """
     words = {
-        SupervisorBit.CRASHED: "crashed",
-        SupervisorBit.TUMBLED: "tumbled",
-        SupervisorBit.LOCKED: "locked by its firmware until it is switched off and on",
+        SUPERVISOR_BITS.crashed: "crashed",
+        SUPERVISOR_BITS.tumbled: "tumbled",
+        SUPERVISOR_BITS.locked: "locked by its firmware until it is switched off and on",
     }
     return next((text for bit, text in words.items() if supervisor & bit), "")
 
@@ -44,12 +26,12 @@ def supervisor_problems(supervisor: int) -> list[str]:
     """Return why the firmware does not let the drone fly."""
     if text := describe_harm(supervisor):
         return [text]
-    if supervisor & ReadinessBit.DECK_FAULT:
+    if supervisor & SUPERVISOR_BITS.deck_fault:
         return ["a deck is faulty"]
     ready = (
-        ReadinessBit.CAN_FLY
-        if supervisor & ReadinessBit.AUTO_ARM
-        else ReadinessBit.CAN_FLY | ReadinessBit.ARMED | ReadinessBit.CAN_ARM
+        SUPERVISOR_BITS.can_fly
+        if supervisor & SUPERVISOR_BITS.auto_arm
+        else SUPERVISOR_BITS.can_fly | SUPERVISOR_BITS.armed | SUPERVISOR_BITS.can_arm
     )
     if not supervisor & ready:
         return [f"its firmware does not allow flight (supervisor {supervisor:#06x})"]

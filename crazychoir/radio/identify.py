@@ -4,7 +4,7 @@ import contextlib
 from collections.abc import Callable
 
 from crazychoir.errors import Refused
-from crazychoir.radio import checks
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio.link.connection import Connection
 from crazychoir.radio.link.firmware import ConnectedFirmware
 from crazychoir.radio.link.toc_cache import TableOfContents
@@ -77,5 +77,5 @@ async def _require_rest(connection: Connection) -> None:
 
     with contextlib.suppress(TimeoutError):
         answer = await connection.ask(STATE_REQUEST, answers, STATE_DEADLINE)
-        if int.from_bytes(answer.data[1:3], "little") & checks.ReadinessBit.FLYING:
+        if int.from_bytes(answer.data[1:3], "little") & SUPERVISOR_BITS.flying:
             raise Refused(connection.uri, "it flies: do not look for its LEDs now")

@@ -7,6 +7,7 @@ from rich import box
 from rich.table import Table
 
 from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.firmware.release import DESCRIBED_RELEASE
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
     ANSWER_CONSOLE,
@@ -82,9 +83,6 @@ def virtual(
     set_up_logging()
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.launch.process.serving import serve_virtual_drones
-    from crazychoir.radio.virtual.drone import (
-        MODELLED_DRONE,
-    )  # takes 1 s, which --help does not need
     from crazychoir.radio.virtual.setup import (
         parse_decks,
         place_on_grid,
@@ -94,7 +92,7 @@ def virtual(
 
     try:
         decks = None if deck is None else parse_decks(deck)
-        release = firmware or MODELLED_DRONE.release
+        release = firmware or DESCRIBED_RELEASE
         if not release.isascii() or len(release) > 29:
             raise ConfigError(
                 "--firmware", release, "at most 29 plain characters, as 2025.12"

@@ -3,6 +3,7 @@
 import math
 
 from crazychoir.control.senders import STOP_COMMAND
+from crazychoir.firmware.results import FIRMWARE_RESULTS, LANDING_RESULTS
 from crazychoir.radio.drone.command_transmitter import CommandTransmitter
 from crazychoir.radio.drone.current_link import CurrentLink
 from crazychoir.radio.drone.drone_setup import DroneSetup
@@ -99,13 +100,13 @@ class LandingRepeater:
         if packet.data[:1] == PACKET_FORMS["land"].head and self.command is not None:
             if self._told_ns is None:
                 return  # the answer to an earlier landing, which has been ended since
-            if result in REPEAT_RULES.landing_results:
+            if result in LANDING_RESULTS:
                 self._confirm(self.command)
                 return
             self._due_ns = self._clock.now_ns() + round(
                 REPEAT_RULES.refused_pause * NS_PER_SECOND
             )
-        if result != 0:
+        if result != FIRMWARE_RESULTS.done:
             self.refused_plans += 1
             self._setup.warn(
                 "planner", f"its planner refuses command {packet.data[0]} with {result}"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio import checks
 from crazychoir.radio.drone.camera_view import CameraView
 from crazychoir.radio.drone.current_link import CurrentLink
@@ -19,7 +20,6 @@ from crazychoir.safety.identity.preflight_check import (
     GroundedDrone,
     find_arming_problems,
 )
-from crazychoir.safety.rules.radio_watch import SupervisorBit
 from crazychoir.types import Body, LinkStatus, Pose
 
 
@@ -111,7 +111,7 @@ class LinkReport:
         supervisor = self._estimate.supervisor
         harm = checks.describe_harm(supervisor)
         is_virtual = self._setup.row.uri.startswith("udp")
-        if is_virtual and supervisor & SupervisorBit.LOCKED:
+        if is_virtual and supervisor & SUPERVISOR_BITS.locked:
             return f"{harm} (`crazychoir virtual fault {self._setup.drone} reboot=1`)"
         return harm
 

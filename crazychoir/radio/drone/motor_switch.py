@@ -1,7 +1,7 @@
 """The motors of a drone: they are armed for a flight, and cut for good in an emergency."""
 
 from crazychoir.errors import LinkFailed, Refused
-from crazychoir.radio.checks import ReadinessBit
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio.drone.background_tasks import BackgroundTasks
 from crazychoir.radio.drone.current_link import CurrentLink
 from crazychoir.radio.drone.drone_setup import DroneSetup
@@ -10,7 +10,6 @@ from crazychoir.radio.drone.timing import LINK_CHECK_RATE
 from crazychoir.radio.link.connection import Connection
 from crazychoir.radio.link.firmware import ConnectedFirmware
 from crazychoir.radio.protocol.handlers import emergency_packets
-from crazychoir.safety.rules.radio_watch import SupervisorBit
 
 
 class MotorSwitch:
@@ -55,7 +54,7 @@ class MotorSwitch:
 
     def note_log(self) -> None:
         """Confirm the cut if the last log says that the drone is locked."""
-        if self.is_cut and self._estimate.supervisor & SupervisorBit.LOCKED:
+        if self.is_cut and self._estimate.supervisor & SUPERVISOR_BITS.locked:
             self.is_cut_confirmed = True
 
     def note_restart(self) -> None:
@@ -66,7 +65,7 @@ class MotorSwitch:
         """Arm the drone, once a flight: its motors wait for this."""
         connection = self._link.connection
         if (
-            self._estimate.supervisor & ReadinessBit.ARMED
+            self._estimate.supervisor & SUPERVISOR_BITS.armed
             or self._is_arming
             or connection is None
         ):

@@ -9,8 +9,8 @@ import numpy as np
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.radio_checks import RADIO_TRAFFIC
 from crazychoir.errors import LinkFailed
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.numerics.math3d import quaternion_of_yaw, quaternion_product
-from crazychoir.radio.checks import ReadinessBit
 from crazychoir.radio.drone.drone_setup import DroneSetup
 from crazychoir.radio.drone.timing import (
     CONNECT_ATTEMPTS,
@@ -93,7 +93,7 @@ class OwnEstimate:
     @property
     def is_flying(self) -> bool:
         """Whether the motors turn, or have turned within 2 s."""
-        return bool(int(self.health.get("supervisor.info", 0)) & ReadinessBit.FLYING)
+        return bool(int(self.health.get("supervisor.info", 0)) & SUPERVISOR_BITS.flying)
 
     @property
     def has_arrived(self) -> bool:

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+from crazychoir.firmware.timeouts import FIRMWARE_TIMEOUTS
+
 LINK_CHECK_RATE = 20.0
 """Hz at which links are checked."""
 
@@ -18,10 +20,8 @@ class SilenceLimits:
     """s of silence after which a link is lost and is opened again."""
     drone_unreached: float = 1.0
     """s of silence after which a drone may not have obeyed its last command."""
-    logs_dropped: float = 1.0
-    """s without a log from a drone that still answers: its firmware has dropped its log blocks.
-    The firmware drops them after 1 s of silence.
-    """
+    logs_dropped: float = 1e-3 * FIRMWARE_TIMEOUTS.link_silence
+    """s without a log from a drone that still answers: its firmware has dropped its log blocks."""
     drone_orphaned: float = 3.0
     """s without commands after which a flying drone is landed."""
 
@@ -56,8 +56,6 @@ class RepeatRules:
     """s between two commands to land until the planner on board answers."""
     refused_pause: float = 1.0
     """s until the next command to land after the planner has refused one."""
-    landing_results: tuple[int, ...] = (0, 1)
-    """Results in the answer of a planner that starts to land, or lands already."""
     stop_delay: float = 1.0
     """s after the planned end of a landing until the drone is told to stop. The planner has then
     ended the landing. The command to land is not repeated from then on: the planner would start
@@ -69,8 +67,8 @@ class RepeatRules:
     """
     stop_period: float = 0.5
     """s between two commands to stop, for a drone that stands."""
-    watchdog_period: float = 0.25
-    """s between two packets for the emergency-stop watchdog, which needs one a second."""
+    watchdog_period: float = 0.25e-3 * FIRMWARE_TIMEOUTS.watchdog
+    """s between two packets for the emergency-stop watchdog: four within its time."""
 
 
 REPEAT_RULES = RepeatRules()

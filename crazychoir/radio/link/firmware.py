@@ -7,13 +7,12 @@ import difflib
 import math
 import struct
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from enum import IntEnum
 from functools import partial
 
-from cflib.crazyflie.mem import MemoryElement
-
 from crazychoir.errors import LinkFailed
+from crazychoir.firmware.memories import MEMORY_KINDS, MEMORY_PACKETS, TRAJECTORY_MEMORY
+from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.radio.link.connection import Connection
 from crazychoir.radio.link.pending_requests import REQUEST_RETRY_PERIOD
 from crazychoir.radio.protocol.crtp import PACKET_FORMS, CrtpPort, Packet
@@ -31,27 +30,12 @@ class RequestChannel(IntEnum):
     """Writes parameters and memories."""
 
 
-COUNT_REQUEST = Packet(CrtpPort.MEMORY, RequestChannel.LIST, b"\x01")
+COUNT_REQUEST = Packet(
+    CrtpPort.MEMORY, RequestChannel.LIST, bytes([MEMORY_PACKETS.count_command])
+)
 """Packet that asks for the number of memories."""
 REQUEST_DEADLINE = 2.0
 """Seconds for one request, which is sent eight times by then."""
-
-
-@dataclass(frozen=True, slots=True)
-class UploadMemory:
-    """The memory of trajectories on board."""
-
-    chunk_size: int = 24
-    """Bytes of a memory in one packet."""
-    kind: int = MemoryElement.TYPE_TRAJ
-    """Kind of this memory, by cflib's number."""
-    size: int = 4096
-    """Bytes of this memory."""
-    slots: int = 31
-    """Trajectories that have a number."""
-
-
-UPLOAD_MEMORY = UploadMemory()
 
 
 class ConnectedFirmware:
@@ -153,28 +137,28 @@ class ConnectedFirmware:
         offset: first byte in the memory of trajectories
         """
         uri = self.connection.uri
-        if not 0 <= slot < UPLOAD_MEMORY.slots:
+        if not 0 <= slot < TRAJECTORY_MEMORY.slot_count:
             raise LinkFailed(
                 uri,
-                f"trajectory {slot}: slots 0 to {UPLOAD_MEMORY.slots - 1} are there",
+                f"trajectory {slot}: slots 0 to {TRAJECTORY_MEMORY.slot_count - 1} are there",
             )
-        if not 0 <= offset <= offset + len(memory) <= UPLOAD_MEMORY.size:
-            allowed = f"{UPLOAD_MEMORY.size} are there: 31 pieces"
+        if not 0 <= offset <= offset + len(memory) <= TRAJECTORY_MEMORY.byte_count:
+            allowed = f"{TRAJECTORY_MEMORY.byte_count} are there: {TRAJECTORY_MEMORY.most_pieces} pieces"
             raise LinkFailed(
                 uri, f"trajectory {slot} ends at byte {offset + len(memory)}; {allowed}"
             )
         where = await self._memory()
-        for start in range(0, len(memory), UPLOAD_MEMORY.chunk_size):
+        for start in range(0, len(memory), MEMORY_PACKETS.largest_part):
             head = struct.pack("<BI", where, offset + start)
             asked = Packet(
                 CrtpPort.MEMORY,
                 RequestChannel.WRITE,
-                head + memory[start : start + UPLOAD_MEMORY.chunk_size],
+                head + memory[start : start + MEMORY_PACKETS.largest_part],
             )
             answer = await self._ask(
                 asked, partial(_is_memory_write_answer, head), f"trajectory {slot}"
             )
-            if answer.data[5:6] != b"\0":
+            if answer.data[5:6] != bytes([FIRMWARE_RESULTS.done]):
                 raise LinkFailed(
                     self.connection.uri,
                     f"trajectory {slot}: its memory does not accept byte {start}",
@@ -212,11 +196,15 @@ class ConnectedFirmware:
             "its memories",
         )
         for number in range(count.data[1] if len(count.data) > 1 else 0):
-            asked = Packet(CrtpPort.MEMORY, RequestChannel.LIST, bytes([2, number]))
+            asked = Packet(
+                CrtpPort.MEMORY,
+                RequestChannel.LIST,
+                bytes([MEMORY_PACKETS.description_command, number]),
+            )
             answer = await self._ask(
                 asked, partial(_is_memory_description, asked), f"memory {number}"
             )
-            if answer.data[2:3] == bytes([UPLOAD_MEMORY.kind]):
+            if answer.data[2:3] == bytes([MEMORY_KINDS.trajectory]):
                 return number
         raise LinkFailed(
             self.connection.uri, "its firmware has no memory for trajectories"
@@ -234,7 +222,7 @@ class ConnectedFirmware:
             "a plan",
             again,
         )
-        if answer.data[3:4] != b"\0":
+        if answer.data[3:4] != bytes([FIRMWARE_RESULTS.done]):
             raise LinkFailed(
                 self.connection.uri, f"its planner refuses ({answer.data[3]})"
             )

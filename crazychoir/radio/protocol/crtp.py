@@ -17,10 +17,8 @@ from crazychoir.errors import CodecError
 
 @dataclass(frozen=True, slots=True)
 class CrtpFormat:
-    """The protocol version, and the size and header of a packet."""
+    """The size and header of a packet."""
 
-    version: int = 12
-    """Version of the protocol that the forms below belong to."""
     payload_size: int = 30
     """Most bytes after the header."""
     safelink_bits: int = 0b1100

@@ -1,32 +1,11 @@
 """Convert newtons to the thrust command of a set-point, by platform and firmware release."""
 
 import re
-from dataclasses import dataclass
 
 from crazychoir.errors import ConfigError
+from crazychoir.firmware.release import THRUST_RELEASES, parse_release
 from crazychoir.platforms import Platform
 from crazychoir.simulation.onboard.units import convert_thrust_to_raw
-
-
-@dataclass(frozen=True, slots=True)
-class ThrustReleases:
-    """Firmware releases, as (year, month), that decide the form of the thrust command."""
-
-    linear_since: tuple[int, ...] = (2025, 10)
-    """First release with a thrust command linear in newtons. 65535 is thrust_max of each motor
-    (crazyflie-firmware).
-    """
-    measured_until: tuple[int, ...] = (2025, 2)
-    """Last release for which a platform's `old_thrust_map` is right.
-
-    In 2025 thrust became linear on one platform after another: a release between may have either form.
-    So may a development build, which can be much newer than its tag.
-    """
-    oldest: tuple[int, ...] = (2017, 1)
-    """First release with a number of this form."""
-
-
-THRUST_RELEASES = ThrustReleases()
 
 
 def thrust_command_per_newton(
@@ -41,11 +20,10 @@ def thrust_command_per_newton(
     """
     if given is not None:
         return given
-    found = re.match(r"(\d{4})\.(\d{1,2})\b", release)
-    number = (int(found[1]), int(found[2])) if found else (0, 0)
+    number = parse_release(release)
     linear = convert_thrust_to_raw(1.0, platform.firmware)
     old = platform.firmware.old_thrust_map
-    if number >= THRUST_RELEASES.oldest and 1 <= number[1] <= 12:
+    if number is not None:
         if number >= THRUST_RELEASES.linear_since:
             return linear
         if (

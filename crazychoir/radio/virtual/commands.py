@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.radio.protocol.compressed import unpack_quaternion
 from crazychoir.simulation.onboard.onboard import Onboard
-
-UNKNOWN_COMMAND = 8
-"""Answer ENOEXEC of the planner's port to an unknown command."""
+from crazychoir.simulation.onboard.units import convert_thrust_to_newtons
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +116,7 @@ def _define_trajectory(
     return (
         on.trajectories.define_trajectory(slot, offset, pieces, kind == 1)
         if known
-        else UNKNOWN_COMMAND
+        else FIRMWARE_RESULTS.unknown_command
     )
 
 
@@ -166,9 +165,8 @@ def apply_manual(
     yaw: deg/s
     thrust: 0 to 65535
     """
-    newtons = thrust / 65535.0 * 4.0 * on.firmware.thrust_max
     on.setpoints.manual(
-        newtons,
+        convert_thrust_to_newtons(thrust, on.firmware),
         PACKET_UNITS.degree * roll,
         -PACKET_UNITS.degree * pitch,
         PACKET_UNITS.degree * yaw,

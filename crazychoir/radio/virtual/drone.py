@@ -8,6 +8,8 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
+from crazychoir.firmware.release import DESCRIBED_RELEASE
+from crazychoir.firmware.timeouts import FIRMWARE_TIMEOUTS
 from crazychoir.platforms import Platform
 from crazychoir.radio.protocol.crtp import (
     CrtpPort,
@@ -45,31 +47,18 @@ CONSOLE_PACKET_SIZE = 30
 """Bytes of console text in one packet."""
 
 
-@dataclass(frozen=True, slots=True)
-class FirmwareTimeouts:
-    """Times after which a virtual drone hears, warns or forgets its client."""
-
-    boot: int = 1000
-    """ms after a restart in which the drone hears nothing."""
-    ignored_plan: int = 1000
-    """ms after a plan until a warning that a set-point still has control. The plan then has no
-    effect.
-    """
-    link_silence: int = 1000
-    """ms without a packet after which the link counts as lost. A returning client starts its log
-    blocks again.
-    """
-
-
-FIRMWARE_TIMEOUTS = FirmwareTimeouts()
+BOOT_TIME = 1000
+"""ms after a restart in which a drone hears nothing."""
+IGNORED_PLAN_TIME = 1000
+"""ms after a plan until a warning that a set-point still has control. The plan then has no
+effect.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class ModelledDrone:
-    """The firmware release and the decks that are modelled."""
+    """The decks that are modelled."""
 
-    release: str = "2025.12"
-    """Firmware release that is modelled."""
     decks: tuple[str, ...] = ("bcFlow2", "bcLighthouse4", "bcMultiranger")
     """Decks that a drone carries by default; the lighthouse deck gives it its position."""
     position_deck: str = "bcLighthouse4"
@@ -89,7 +78,7 @@ class DroneIdentity:
     """Name for log lines."""
     number: int = 0xE7
     """Last byte of its address."""
-    release: str = MODELLED_DRONE.release
+    release: str = DESCRIBED_RELEASE
     """Release of its firmware."""
     device: str = "CF21"
     """Type of the device, as the firmware tells it."""
@@ -226,7 +215,7 @@ class VirtualCrazyflie:
         self.onboard.restart()
         self.rates = (0.0, 0.0)
         self._counted = (0, self.received, self.sent)
-        self._deaf_until = FIRMWARE_TIMEOUTS.boot
+        self._deaf_until = BOOT_TIME
         self._heard = 0
         self._start(has_asserted=bool(why))
         self.flight.zeros, self.flight.malformed, self.flight.unknown = counted
@@ -336,7 +325,7 @@ class VirtualCrazyflie:
             self.flight.planned_at = None
         elif (
             self.flight.planned_at is not None
-            and now - self.flight.planned_at > FIRMWARE_TIMEOUTS.ignored_plan
+            and now - self.flight.planned_at > IGNORED_PLAN_TIME
         ):
             self.flight.planned_at = None
             told = "plans, but a set-point holds control: send_notify_setpoint_stop ends it"

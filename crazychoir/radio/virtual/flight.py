@@ -11,9 +11,11 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import CodecError
+from crazychoir.firmware.release import PROTOCOL_VERSION
+from crazychoir.firmware.results import FIRMWARE_RESULTS
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio.protocol.compressed import unpack_quaternion
 from crazychoir.radio.protocol.crtp import (
-    CRTP_FORMAT,
     PACKET_FORMS,
     CrtpPort,
     Packet,
@@ -22,11 +24,11 @@ from crazychoir.radio.protocol.crtp import (
 from crazychoir.radio.virtual.commands import (
     COMMAND_FUNCTIONS,
     PACKET_UNITS,
-    UNKNOWN_COMMAND,
     apply_manual,
 )
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import YAW_MODES
+from crazychoir.simulation.onboard.units import FULL_THRUST_COMMAND
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,8 +72,6 @@ _PACKED_POSE_LAYOUT = struct.Struct("<BhhhI")
 """Layout of a packed pose."""
 _PACKED_POSITION_LAYOUT = struct.Struct("<Bhhh")
 """Layout of a packed position."""
-MAY_ARM_BIT = 1
-"""Bit of the supervisor's information: the drone may be armed."""
 
 
 class FirmwareAssertion(CodecError):
@@ -162,7 +162,9 @@ class FlightService:
                 port,
                 channel,
                 data[:3].ljust(3, b"\0")
-                + bytes([UNKNOWN_COMMAND if answer is None else answer]),
+                + bytes(
+                    [FIRMWARE_RESULTS.unknown_command if answer is None else answer]
+                ),
             )
         elif answer is not None and port == CrtpPort.SUPERVISOR:
             yield Packet(port, channel, bytes([0x80 | data[0]]) + answer)
@@ -228,7 +230,7 @@ class FlightService:
     @property
     def info(self) -> int:
         """The supervisor's bits."""
-        return self.onboard.info & ~(MAY_ARM_BIT * self.refuses)
+        return self.onboard.info & ~(SUPERVISOR_BITS.can_arm * self.refuses)
 
     def _asked(self, data: bytes) -> bytes | None:
         """Return the supervisor's answer: all bits for request 12, one bit for requests 1 to 11."""
@@ -273,7 +275,7 @@ class FlightService:
                 yield Packet(
                     CrtpPort.PLATFORM,
                     1,
-                    command + CRTP_FORMAT.version.to_bytes(4, "little"),
+                    command + PROTOCOL_VERSION.to_bytes(4, "little"),
                 )
             case b"\x01":
                 yield Packet(
@@ -344,7 +346,12 @@ class FlightService:
         p = turn[1] * read(names[1])
         w = turn[2] * read("cppm.rateYaw")
         apply_manual(
-            self.onboard, r, p, w, max(thrust - 1000, 0) / 1000.0 * 65535.0, int(rates)
+            self.onboard,
+            r,
+            p,
+            w,
+            max(thrust - 1000, 0) / 1000.0 * FULL_THRUST_COMMAND,
+            int(rates),
         )
 
 

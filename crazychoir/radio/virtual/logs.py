@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import IntEnum
 
+from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.radio.virtual.toc import LOG_TYPES, STRUCT_LETTERS, Toc, TocEntry
 from crazychoir.simulation.onboard.logs import truncate_to_range
@@ -44,23 +45,6 @@ CHANGE_COMMANDS = (
     BlockCommand.START_V2,
 )
 """Commands for a block that is there already, without variables."""
-
-
-class LogResult(IntEnum):
-    """Results of commands for log blocks, with the numbers of errno."""
-
-    OK = 0
-    """The command was done."""
-    ENOENT = 2
-    """There is no such block or variable."""
-    E2BIG = 7
-    """The values of the block would be too long."""
-    ENOEXEC = 8
-    """The command is unknown."""
-    ENOMEM = 12
-    """There are too many blocks or variables."""
-    EEXIST = 17
-    """The block is there already."""
 
 
 BY_ADDRESS_INDEX = 0xFFFF
@@ -176,16 +160,16 @@ class LogService:
     def _do(self, command: int, number: int, rest: bytes, now: int) -> int:
         if command == BlockCommand.RESET:
             self.blocks.clear()
-            return LogResult.OK
+            return FIRMWARE_RESULTS.done
         if command == BlockCommand.CREATE:
             return self._create(number) or self._append(number, rest)
         if command == BlockCommand.APPEND:
             return self._append(number, rest)
         if command not in CHANGE_COMMANDS:
-            return LogResult.ENOEXEC
+            return FIRMWARE_RESULTS.unknown_command
         block = self.blocks.get(number)
         if block is None:
-            return LogResult.ENOENT
+            return FIRMWARE_RESULTS.not_found
         if command == BlockCommand.DELETE:
             del self.blocks[number]
         elif command == BlockCommand.STOP:
@@ -199,15 +183,15 @@ class LogService:
             block.once = not period
             block.period = period or block.period
             block.due = now + period
-        return LogResult.OK
+        return FIRMWARE_RESULTS.done
 
     def _create(self, number: int) -> int:
         if number in self.blocks:
-            return LogResult.EEXIST
+            return FIRMWARE_RESULTS.exists
         if len(self.blocks) == LOG_LIMITS.blocks:
-            return LogResult.ENOMEM
+            return FIRMWARE_RESULTS.no_room
         self.blocks[number] = LogBlock()
-        return LogResult.OK
+        return FIRMWARE_RESULTS.done
 
     def _append(self, number: int, rest: bytes) -> int:
         """Add variables up to the first that does not fit.
@@ -216,28 +200,28 @@ class LogService:
         """
         block = self.blocks.get(number)
         if block is None:
-            return LogResult.ENOENT
+            return FIRMWARE_RESULTS.not_found
         for kind, index in _parse_variables(rest):
             letter = LETTER_OF_TYPE.get(kind)
             if (
                 letter is None
                 or block.size + struct.calcsize(letter) > LOG_LIMITS.block_size
             ):
-                return LogResult.E2BIG
+                return FIRMWARE_RESULTS.too_large
             if (
                 sum(len(other.variables) for other in self.blocks.values())
                 == LOG_LIMITS.variables
             ):
-                return LogResult.ENOMEM
+                return FIRMWARE_RESULTS.no_room
             if index != BY_ADDRESS_INDEX and index >= len(self.toc.entries):
-                return LogResult.ENOENT
+                return FIRMWARE_RESULTS.not_found
             block.variables.append(
                 (
                     "" if index == BY_ADDRESS_INDEX else self.toc.entries[index].full,
                     letter,
                 )
             )
-        return LogResult.OK
+        return FIRMWARE_RESULTS.done
 
 
 def _parse_variables(rest: bytes) -> Iterator[tuple[int, int]]:

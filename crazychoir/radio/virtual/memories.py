@@ -2,63 +2,17 @@
 
 import struct
 from collections.abc import Iterator
-from enum import IntEnum
 from typing import Protocol
 
+from crazychoir.firmware.memories import MEMORY_KINDS, MEMORY_PACKETS
+from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.simulation.onboard.onboard import Onboard
 
-MEMORY_INFO_CHANNEL = 0
-"""Channel of the commands of `MemoryInfo`."""
-MEMORY_READ_CHANNEL = 1
-"""Channel that reads memories."""
-MEMORY_WRITE_CHANNEL = 2
-"""Channel that writes memories."""
-
-
-class MemoryInfo(IntEnum):
-    """Commands of the channel for information."""
-
-    COUNT = 1
-    """Asks for the number of memories."""
-    DESCRIPTION = 2
-    """Asks for the type and size of one memory."""
-
-
-class MemoryKind(IntEnum):
-    """Types of memories. There is no 1-wire memory: clients would read it at each connection."""
-
-    EEPROM = 0x00
-    """Configuration of the radio."""
-    LEDS = 0x10
-    """Colours of the LED ring."""
-    TRAJECTORY = 0x12
-    """Trajectories."""
-    LIGHTHOUSE = 0x14
-    """Geometry and calibration of the lighthouses."""
-    TESTER = 0x15
-    """Test of memories."""
-    TIMINGS = 0x17
-    """Timings of the LED ring."""
-    DECKS = 0x19
-    """Properties of decks."""
-
-
 DECK_MEMORY_VERSION = 3
-"""Version of the content of `MemoryKind.DECKS`."""
+"""Version of the content of `MEMORY_KINDS.decks`."""
 
 
-class MemoryResult(IntEnum):
-    """Results of reading and writing, with the numbers of errno."""
-
-    OK = 0
-    """The bytes were read or written."""
-    EIO = 5
-    """There is no such memory, or no such address."""
-
-
-MEMORY_PACKET_SIZE = 24
-"""Most bytes that one packet reads or writes."""
 _DESCRIPTION_LAYOUT = struct.Struct("<BBBI8x")
 """Layout of the description of a memory."""
 _ADDRESS_LAYOUT = struct.Struct("<BI")
@@ -116,7 +70,7 @@ class StoredMemory:
 class MemoryTester:
     """The firmware's test of memories: each byte is the lowest byte of its address."""
 
-    kind: int = MemoryKind.TESTER
+    kind: int = MEMORY_KINDS.tester
     size = 0x1000
 
     def __init__(self) -> None:
@@ -172,71 +126,73 @@ class MemoryService:
         trajectories = onboard.trajectories.memory.data
         self.all: tuple[DroneMemory, ...] = (
             StoredMemory(
-                MemoryKind.EEPROM,
+                MEMORY_KINDS.eeprom,
                 kept.setdefault(
-                    MemoryKind.EEPROM, make_eeprom(address=0xE7E7E7E700 | number)
+                    MEMORY_KINDS.eeprom, make_eeprom(address=0xE7E7E7E700 | number)
                 ),
             ),
-            StoredMemory(MemoryKind.LEDS, bytearray(24)),
-            StoredMemory(MemoryKind.TRAJECTORY, trajectories),
+            StoredMemory(MEMORY_KINDS.leds, bytearray(24)),
+            StoredMemory(MEMORY_KINDS.trajectory, trajectories),
             self.tester,
             StoredMemory(
-                MemoryKind.LIGHTHOUSE,
-                kept.setdefault(MemoryKind.LIGHTHOUSE, bytearray(0x2000)),
+                MEMORY_KINDS.lighthouse,
+                kept.setdefault(MEMORY_KINDS.lighthouse, bytearray(0x2000)),
             ),
-            StoredMemory(MemoryKind.TIMINGS, bytearray(2000)),
+            StoredMemory(MEMORY_KINDS.timings, bytearray(2000)),
             StoredMemory(
-                MemoryKind.DECKS, bytearray([DECK_MEMORY_VERSION]) + bytearray(0x1FFF)
+                MEMORY_KINDS.decks, bytearray([DECK_MEMORY_VERSION]) + bytearray(0x1FFF)
             ),
         )
 
     def take(self, packet: Packet) -> Iterator[Packet]:
         """Return the answers to a packet."""
         data = packet.data
-        if packet.channel == MEMORY_INFO_CHANNEL:
+        if packet.channel == MEMORY_PACKETS.information:
             yield from self._about(data)
         elif (
-            packet.channel in (MEMORY_READ_CHANNEL, MEMORY_WRITE_CHANNEL)
+            packet.channel in (MEMORY_PACKETS.read, MEMORY_PACKETS.write)
             and len(data) > _ADDRESS_LAYOUT.size
         ):
             number, address = _ADDRESS_LAYOUT.unpack_from(data)
             body = data[_ADDRESS_LAYOUT.size :]
-            reads = packet.channel == MEMORY_READ_CHANNEL
+            reads = packet.channel == MEMORY_PACKETS.read
             found = (
                 self._read(number, address, body[0])
                 if reads
                 else self._write(number, address, body)
             )
             answer = (
-                bytes([MemoryResult.EIO])
+                bytes([FIRMWARE_RESULTS.input_output_error])
                 if found is None
-                else bytes([MemoryResult.OK]) + found
+                else bytes([FIRMWARE_RESULTS.done]) + found
             )
             yield Packet(
                 CrtpPort.MEMORY, packet.channel, data[: _ADDRESS_LAYOUT.size] + answer
             )
 
     def _about(self, data: bytes) -> Iterator[Packet]:
-        if data[:1] == bytes([MemoryInfo.COUNT]):
+        if data[:1] == bytes([MEMORY_PACKETS.count_command]):
             yield Packet(
                 CrtpPort.MEMORY,
-                MEMORY_INFO_CHANNEL,
-                bytes([MemoryInfo.COUNT, len(self.all)]),
+                MEMORY_PACKETS.information,
+                bytes([MEMORY_PACKETS.count_command, len(self.all)]),
             )
-        elif data[:1] == bytes([MemoryInfo.DESCRIPTION]) and len(data) > 1:
+        elif data[:1] == bytes([MEMORY_PACKETS.description_command]) and len(data) > 1:
             number = data[1]
             memory = self.all[number] if number < len(self.all) else None
             kind, size = (0, 0) if memory is None else (memory.kind, memory.size)
             yield Packet(
                 CrtpPort.MEMORY,
-                MEMORY_INFO_CHANNEL,
-                _DESCRIPTION_LAYOUT.pack(MemoryInfo.DESCRIPTION, number, kind, size),
+                MEMORY_PACKETS.information,
+                _DESCRIPTION_LAYOUT.pack(
+                    MEMORY_PACKETS.description_command, number, kind, size
+                ),
             )
 
     def _read(self, number: int, address: int, length: int) -> bytes | None:
         return (
             self.all[number].read(address, length)
-            if number < len(self.all) and length <= MEMORY_PACKET_SIZE
+            if number < len(self.all) and length <= MEMORY_PACKETS.largest_part
             else None
         )
 

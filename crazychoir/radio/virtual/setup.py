@@ -1,6 +1,5 @@
 """Choose the virtual drones, from a swarm file or on a grid, and their properties."""
 
-import re
 import socket
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,13 +12,18 @@ from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.config.tables import DroneTable
 from crazychoir.config.uris import udp_uri
 from crazychoir.errors import ConfigError
+from crazychoir.firmware.release import (
+    DESCRIBED_RELEASE,
+    THRUST_RELEASES,
+    parse_release,
+)
 from crazychoir.mocap.frames import FRAME_PROTOCOL
 from crazychoir.platforms import Platform, find_platform
-from crazychoir.radio.protocol.thrust import THRUST_RELEASES
 from crazychoir.radio.virtual.drone import MODELLED_DRONE, device_type_of
 from crazychoir.radio.virtual.toc import read_firmware_names
 from crazychoir.simulation.common.world import WorldSetup
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
+from crazychoir.simulation.onboard.units import FULL_THRUST_COMMAND
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +60,7 @@ class DroneSeat:
     """Last byte of its address."""
     decks: tuple[str, ...]
     """Decks that it carries."""
-    release: str = MODELLED_DRONE.release
+    release: str = DESCRIBED_RELEASE
     """Release of its firmware."""
     device: str = "CF21"
     """Type of the device."""
@@ -77,7 +81,7 @@ class VirtualSwarm:
     taken: str = "Choose another --port."
     """Advice if one of its ports is taken."""
 
-    def world(self, seed: int, release: str = MODELLED_DRONE.release) -> CrazyflieWorld:
+    def world(self, seed: int, release: str = DESCRIBED_RELEASE) -> CrazyflieWorld:
         """Return the world with the drones at home.
 
         It has the drones' platforms, the swarm's [motors] and the thrust map of a release.
@@ -108,7 +112,7 @@ def place_on_grid(
     n: int,
     port: int,
     decks: Sequence[str] | None,
-    release: str = MODELLED_DRONE.release,
+    release: str = DESCRIBED_RELEASE,
 ) -> VirtualSwarm:
     """Return n drones on a square grid on the floor, at consecutive ports."""
     config = default_swarm(n)
@@ -131,7 +135,7 @@ def place_on_grid(
 def select_from_swarm(
     config: SwarmConfig,
     decks: Sequence[str] | None,
-    release: str = MODELLED_DRONE.release,
+    release: str = DESCRIBED_RELEASE,
 ) -> VirtualSwarm:
     """Return the drones of a swarm with a udp:// uri on this machine, at the ports of their uris.
 
@@ -232,16 +236,13 @@ def platform_of_release(base: Platform, release: str) -> Platform:
 
     If the release is unknown, the platform has its newest thrust map.
     """
-    found = re.match(r"(\d{4})\.(\d{1,2})", release)
+    number = parse_release(release)
     old = base.firmware.old_thrust_map
-    if (
-        not found
-        or (int(found[1]), int(found[2])) > THRUST_RELEASES.measured_until
-        or old is None
-    ):
+    if number is None or number > THRUST_RELEASES.measured_until or old is None:
         return base
     return replace(
-        base, firmware=replace(base.firmware, thrust_max=65535.0 / old / 4.0)
+        base,
+        firmware=replace(base.firmware, thrust_max=FULL_THRUST_COMMAND / old / 4.0),
     )
 
 

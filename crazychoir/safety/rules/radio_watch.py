@@ -1,27 +1,15 @@
 """The reports of a drone behind a radio, for the safety table and the check before take-off."""
 
 import math
-from enum import IntEnum
 
 from crazychoir.bus.port import Port
 from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.platforms import Firmware
 from crazychoir.runtime.actor import RESTART_ON_FAILURE, Actor
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.safety.rules.guard import Guard
 from crazychoir.types import LinkStatus
-
-
-class SupervisorBit(IntEnum):
-    """Bits of the firmware's supervisor that say what has damaged or locked a drone."""
-
-    TUMBLED = 1 << 5
-    """The drone lies on its back."""
-    LOCKED = 1 << 6
-    """The firmware has locked the drone."""
-    CRASHED = 1 << 7
-    """The drone has crashed."""
-
 
 MENTIONED_SILENCE = 0.5
 """Seconds without a packet that are mentioned when a drone has fallen."""
@@ -100,9 +88,9 @@ class RadioWatch(Actor):
                 bool(
                     status.supervisor
                     & (
-                        SupervisorBit.TUMBLED
-                        | SupervisorBit.LOCKED
-                        | SupervisorBit.CRASHED
+                        SUPERVISOR_BITS.tumbled
+                        | SUPERVISOR_BITS.locked
+                        | SUPERVISOR_BITS.crashed
                     )
                 )
             ),

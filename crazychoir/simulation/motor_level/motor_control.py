@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.numerics.kernels import kernel, matrix, wholes
 from crazychoir.numerics.math3d import STANDARD_GRAVITY, flat_attitude, quaternion
 from crazychoir.simulation.onboard.commander import (
@@ -13,7 +14,6 @@ from crazychoir.simulation.onboard.commander import (
 )
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.planner import (
-    PLANNER_ANSWERS,
     compute_flat_body_rates,
 )
 from crazychoir.simulation.onboard.record import Fleet, rows
@@ -143,14 +143,14 @@ class MotorCtrlXYZ(MotorCtrl):
                 onboard.planner.go_to(
                     (x, y, z), yaw, duration, linear=command.verb == "line"
                 )
-                == PLANNER_ANSWERS.done
+                == FIRMWARE_RESULTS.done
             )
         climb = (
             onboard.planner.take_off
             if command.verb == "take_off"
             else onboard.planner.land
         )
-        return climb(z, duration or None, yaw) == PLANNER_ANSWERS.done
+        return climb(z, duration or None, yaw) == FIRMWARE_RESULTS.done
 
 
 MOTOR_CONTROLS: dict[str, type[MotorCtrl]] = {

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from crazychoir.simulation.onboard.record import TRAJECTORY_MEMORY
+from crazychoir.firmware.memories import TRAJECTORY_MEMORY
 
 
 @dataclass(frozen=True, slots=True)

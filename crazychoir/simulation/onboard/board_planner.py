@@ -7,17 +7,16 @@ import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError
+from crazychoir.firmware.memories import TRAJECTORY_MEMORY
+from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.simulation.onboard import bezier, planner, supervisor
 from crazychoir.simulation.onboard.record import (
-    TRAJECTORY_MEMORY,
+    EXPANDED_PIECES,
     EntryPoints,
     Fleet,
 )
 from crazychoir.types import Vec
 
-MOST_PIECES = (
-    TRAJECTORY_MEMORY.size // TRAJECTORY_MEMORY.piece_size
-)  # pieces that fit into the memory for trajectories
 _planner = EntryPoints(planner)
 _supervisor = EntryPoints(supervisor)
 
@@ -64,34 +63,34 @@ class TrajectoryStore:
             and offset >= 0
             and placed
         ):
-            return planner.PLANNER_ANSWERS.unknown_trajectory
+            return FIRMWARE_RESULTS.unknown_command
         plan = self._record["planner"]
         plan["offset"][slot] = words
         plan["pieces"][slot] = 0 if compressed else pieces
         plan["packed"][slot] = (offset, pieces * compressed)
-        return planner.PLANNER_ANSWERS.done
+        return FIRMWARE_RESULTS.done
 
     def unpack(self, slot: int, timescale: float, reverse: bool) -> int:
         """Expand a compressed trajectory so that it can be flown; return 0 if it is ready.
 
         It can only be flown forwards with a timescale of 1; otherwise 8 is returned.
-        Choice of this model: at most TRAJECTORY_MEMORY.expanded_pieces pieces are flown.
+        Choice of this model: at most EXPANDED_PIECES pieces are flown.
         """
         plan = self._record["planner"]
         if not 0 <= slot < TRAJECTORY_MEMORY.slot_count or not plan["packed"][slot][1]:
-            return planner.PLANNER_ANSWERS.done
+            return FIRMWARE_RESULTS.done
         offset, segments = plan["packed"][slot].tolist()
         pieces = bezier.expand_segments(
-            self.memory[offset:], min(segments, TRAJECTORY_MEMORY.expanded_pieces)
+            self.memory[offset:], min(segments, EXPANDED_PIECES)
         )
         if timescale != 1.0 or reverse or not len(pieces):
-            return planner.PLANNER_ANSWERS.unknown_trajectory
+            return FIRMWARE_RESULTS.unknown_command
         plan["offset"][slot] = TRAJECTORY_MEMORY.size
         plan["pieces"][slot] = len(pieces)
         self._rows["memory"][self._row][
             TRAJECTORY_MEMORY.size : TRAJECTORY_MEMORY.size + pieces.size
         ] = pieces.ravel()
-        return planner.PLANNER_ANSWERS.done
+        return FIRMWARE_RESULTS.done
 
     def upload(self, slot: int, pieces: npt.ArrayLike) -> None:
         """Write a trajectory behind those of the other slots and define it.
@@ -143,7 +142,7 @@ class TrajectoryStore:
             raise ConfigError(
                 where,
                 f"{len(rows)} pieces",
-                f"at most {MOST_PIECES} in all slots, {free} are free",
+                f"at most {TRAJECTORY_MEMORY.most_pieces} in all slots, {free} are free",
             )
         self._rows["memory"][self._row][start : start + rows.size] = rows.ravel()
         plan["offset"][slot] = start
@@ -168,13 +167,13 @@ class BoardPlanner:
         self._trajectories = trajectories
 
     def _flight(self, *numbers: float) -> int:
-        """Return the answer of PLANNER_ANSWERS why a plan cannot begin; 0 if it can."""
+        """Return the answer of FIRMWARE_RESULTS why a plan cannot begin; 0 if it can."""
         if not math.isfinite(sum(numbers)):
-            return planner.PLANNER_ANSWERS.refused
+            return FIRMWARE_RESULTS.refused
         return (
-            planner.PLANNER_ANSWERS.done
+            FIRMWARE_RESULTS.done
             if _supervisor.can_fly(self._rows, self._row)
-            else planner.PLANNER_ANSWERS.flight_forbidden
+            else FIRMWARE_RESULTS.busy
         )
 
     def take_off(
@@ -185,7 +184,7 @@ class BoardPlanner:
         height: m, world
         duration: s; None: from the speed hlCommander.vtoff
         yaw: rad: heading at the end; None: keep the heading
-        Returns an answer of PLANNER_ANSWERS, 0 if the flight begins.
+        Returns an answer of FIRMWARE_RESULTS, 0 if the flight begins.
         """
         t = -1.0 if duration is None else duration
         psi = 0.0 if yaw is None else yaw

@@ -3,6 +3,7 @@
 import math
 from typing import NamedTuple
 
+from crazychoir.firmware.supervision import SUPERVISOR_STATES
 from crazychoir.numerics.kernels import kernel, real
 from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.simulation.onboard import (

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from crazychoir.errors import ConfigError
+from crazychoir.firmware.supervision import STATE_NAMES, SUPERVISOR_STATES
 from crazychoir.platforms import Platform
 from crazychoir.simulation.onboard import (
     commander,
@@ -168,7 +169,7 @@ class Onboard:
     @property
     def state(self) -> str:
         """The supervisor's state in words."""
-        return supervisor.STATE_NAMES[int(self.record["state"])]
+        return STATE_NAMES[int(self.record["state"])]
 
     @property
     def info(self) -> int:

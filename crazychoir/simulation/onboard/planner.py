@@ -8,6 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from crazychoir.firmware.memories import TRAJECTORY_MEMORY
+from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.numerics.kernels import kernel, real
 from crazychoir.numerics.math3d import (
     Triple,
@@ -28,7 +30,6 @@ from crazychoir.simulation.onboard.polynomial import (
 )
 from crazychoir.simulation.onboard.record import (
     AXIS_MODES,
-    TRAJECTORY_MEMORY,
     Fleet,
     Record,
     rows,
@@ -49,22 +50,6 @@ class PlannerStates(NamedTuple):
 
 
 PLANNER_STATES = PlannerStates()
-
-
-class PlannerAnswers(NamedTuple):
-    """Answers of the planner to a command."""
-
-    done: int = 0
-    """The plan has begun."""
-    refused: int = 1
-    """Not possible in this state."""
-    unknown_trajectory: int = 8
-    """There is no such trajectory."""
-    flight_forbidden: int = 16
-    """The supervisor does not allow flight."""
-
-
-PLANNER_ANSWERS = PlannerAnswers()
 
 
 class PlanLimits(NamedTuple):
@@ -386,10 +371,10 @@ def _begin_plan(fw: Record, state: int, piece: Single) -> int:
         (t == SINGLE_NUMBERS.zero or _is_flyable_duration(t))
         and _is_bounded(piece, SINGLE_NUMBERS.one)
     ):
-        return PLANNER_ANSWERS.refused
+        return FIRMWARE_RESULTS.refused
     fw.planner.piece[0 : TRAJECTORY_MEMORY.piece_size] = piece
     _start_plan(fw, state)
-    return PLANNER_ANSWERS.done
+    return FIRMWARE_RESULTS.done
 
 
 @kernel()
@@ -485,7 +470,7 @@ def take_off(
     """
     fw = fleet[i]
     if fw.planner.state != PLANNER_STATES.idle:
-        return PLANNER_ANSWERS.refused
+        return FIRMWARE_RESULTS.refused
     speed = max(fw.planner.take_off_speed, 1e-3)
     return _begin_vertical_plan(
         fw,
@@ -512,7 +497,7 @@ def land(
     """
     fw = fleet[i]
     if fw.planner.state == PLANNER_STATES.landing:
-        return PLANNER_ANSWERS.refused
+        return FIRMWARE_RESULTS.refused
     speed = max(fw.planner.landing_speed, 1e-3)
     return _begin_vertical_plan(
         fw,
@@ -678,7 +663,7 @@ def start_trajectory(
     relative_yaw: float,
     backwards: float,
 ) -> int:
-    """Fly an uploaded trajectory; return an answer of PLANNER_ANSWERS, 8 if there is none.
+    """Fly an uploaded trajectory; return an answer of FIRMWARE_RESULTS, 8 if there is none.
 
     Choice of this model: it returns 1 if no drone can follow the trajectory.
     slot: number of the trajectory
@@ -697,9 +682,9 @@ def start_trajectory(
         or plan.pieces[k] == 0
         or not timescale > 0.0
     ):
-        return PLANNER_ANSWERS.unknown_trajectory
+        return FIRMWARE_RESULTS.unknown_command
     if not _is_flyable_slot(fw, k, float32(timescale)):
-        return PLANNER_ANSWERS.refused
+        return FIRMWARE_RESULTS.refused
     _evaluate_present_point(fw)
     here = plan.out[0:4].copy()
     _start_plan(fw, PLANNER_STATES.flying)
@@ -713,4 +698,4 @@ def start_trajectory(
         plan.shift[axis] = here[axis] if moved else plan.origin[axis]
     if relative > 0.0 and relative_yaw > 0.0:
         plan.shift[3] = unwrap_angle(plan.origin[3], here[3])
-    return PLANNER_ANSWERS.done
+    return FIRMWARE_RESULTS.done

@@ -5,8 +5,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from crazychoir.firmware.memories import TRAJECTORY_MEMORY
 from crazychoir.numerics.kernels import kernel
-from crazychoir.simulation.onboard.record import TRAJECTORY_MEMORY
 
 float32 = np.float32
 Single = Any

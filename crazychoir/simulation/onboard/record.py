@@ -9,6 +9,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from crazychoir.firmware.memories import TRAJECTORY_MEMORY
+from crazychoir.firmware.timeouts import FIRMWARE_TIMEOUTS
 from crazychoir.platforms import Platform
 
 Record = Any
@@ -90,20 +92,8 @@ class OutputKinds(NamedTuple):
 OUTPUT_KINDS = OutputKinds()
 
 
-class TrajectoryMemory(NamedTuple):
-    """Sizes of the memory for trajectories."""
-
-    slot_count: int = 31
-    """Slots for trajectories."""
-    size: int = 1024
-    """Float32 in the memory for trajectories, 4096 bytes."""
-    piece_size: int = 33
-    """Float32 of one piece: 4 axes of 8 coefficients and a duration."""
-    expanded_pieces: int = 64
-    """Pieces behind that memory: a compressed trajectory after its expansion."""
-
-
-TRAJECTORY_MEMORY = TrajectoryMemory()
+EXPANDED_PIECES = 64
+"""Pieces behind the memory for trajectories: a compressed trajectory after its expansion; chosen."""
 
 
 class AvoidanceMemory(NamedTuple):
@@ -387,10 +377,7 @@ drone_fields = np.dtype(
         (
             "memory",
             np.float32,
-            (
-                TRAJECTORY_MEMORY.size
-                + TRAJECTORY_MEMORY.expanded_pieces * TRAJECTORY_MEMORY.piece_size,
-            ),
+            (TRAJECTORY_MEMORY.size + EXPANDED_PIECES * TRAJECTORY_MEMORY.piece_size,),
         ),
     ],
     align=True,
@@ -604,9 +591,9 @@ SCALAR_DEFAULTS: dict[str, float] = {
     "rate_pitch_mode": 1,
     "rate_yaw_mode": 0,
     "yaw_mode": YAW_MODES.cross,
-    "preflight_timeout": 30000,
-    "landed_timeout": 3000,
-    "spinup_timeout": 2000,
+    "preflight_timeout": FIRMWARE_TIMEOUTS.preflight,
+    "landed_timeout": FIRMWARE_TIMEOUTS.landed,
+    "spinup_timeout": FIRMWARE_TIMEOUTS.spin_up,
     "tumble_check": 1,
     "controller": CONTROLLER_KINDS.pid,
     "modes": -1,

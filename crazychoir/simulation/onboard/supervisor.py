@@ -3,81 +3,23 @@
 import math
 from typing import NamedTuple
 
+from crazychoir.firmware.supervision import SUPERVISOR_BITS, SUPERVISOR_STATES
+from crazychoir.firmware.timeouts import FIRMWARE_TIMEOUTS
 from crazychoir.numerics.kernels import kernel
 from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES
 from crazychoir.simulation.onboard.planner import PLANNER_STATES, is_finished
 from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
 
 
-class SupervisorStates(NamedTuple):
-    """States of the firmware's supervisor, numbered as in the firmware."""
-
-    not_initialised: int = 0
-    """The firmware has not started."""
-    checks_not_passed: int = 1
-    """The checks before flight fail."""
-    checks_passed: int = 2
-    """The checks before flight pass; the motors are locked."""
-    arming: int = 3
-    """The motors are being armed."""
-    ready: int = 4
-    """The drone may fly."""
-    flying: int = 5
-    """The drone flies."""
-    landed: int = 6
-    """The drone has landed."""
-    reset: int = 7
-    """The supervisor starts anew."""
-    level_out: int = 8
-    """Set-points are missing: the drone levels out."""
-    free_fall: int = 9
-    """Set-points are missing for long: the motors are off."""
-    locked: int = 10
-    """The motors are locked until the drone is switched off."""
-    crashed: int = 11
-    """The drone has crashed."""
-
-
-SUPERVISOR_STATES = SupervisorStates()
-
-
-STATE_NAMES = (
-    "not initialised",
-    "pre-flight checks not passed",
-    "pre-flight checks passed",
-    "arming",
-    "ready to fly",
-    "flying",
-    "landed",
-    "reset",
-    "warning: level out",
-    "exception: free fall",
-    "locked",
-    "crashed",
-)
-
-
 class SupervisorLimits(NamedTuple):
-    """Times and accelerations at which the supervisor changes the state of a drone."""
+    """Accelerations from which the supervisor knows how a drone lies."""
 
-    level_out_time: int = 500
-    """ms without a set-point before a flying drone levels out."""
-    free_fall_time: int = 2000
-    """ms without a set-point before the motors of a flying drone are cut."""
-    watchdog_time: int = 1000
-    """ms without a feed before the watchdog stops the motors."""
-    resting_time: int = 2000
-    """ms with the motors at idle before a drone no longer counts as flying."""
     upright_acceleration: float = 0.5
     """g along z: at least this much means upright."""
     inverted_acceleration: float = -0.2
     """g along z: less means on its back."""
     falling_acceleration: float = 0.1
     """g on every axis: less means free fall."""
-    tilted_time: int = 1000
-    """ms not upright before a drone counts as tumbled."""
-    inverted_time: int = 100
-    """ms on its back before a drone counts as tumbled."""
 
 
 SUPERVISOR_LIMITS = SupervisorLimits()
@@ -110,8 +52,8 @@ def _see_tumbling(fw: Record) -> None:
     if fw.az >= SUPERVISOR_LIMITS.inverted_acceleration:
         fw.not_upside_at = fw.tick
     tilted = (
-        fw.tick - fw.upright_at > SUPERVISOR_LIMITS.tilted_time
-        or fw.tick - fw.not_upside_at > SUPERVISOR_LIMITS.inverted_time
+        fw.tick - fw.upright_at > FIRMWARE_TIMEOUTS.tilted
+        or fw.tick - fw.not_upside_at > FIRMWARE_TIMEOUTS.inverted
     )
     fw.tumbled = 1 if fw.tumble_check and (tilted or _has_hit(fw)) else 0
 
@@ -122,7 +64,7 @@ def _see_motors(fw: Record) -> None:
     m = fw.ratio
     if max(max(m[0], m[1]), max(m[2], m[3])) > fw.idle:
         fw.stopping_at = fw.tick
-    fw.turning = 1 if fw.tick - fw.stopping_at < SUPERVISOR_LIMITS.resting_time else 0
+    fw.turning = 1 if fw.tick - fw.stopping_at < FIRMWARE_TIMEOUTS.resting else 0
 
 
 @kernel()
@@ -176,11 +118,11 @@ def _update_in_air(fw: Record, age: int) -> None:
         _enter(fw, SUPERVISOR_STATES.crashed)
     elif not fw.armed:
         _enter(fw, SUPERVISOR_STATES.reset)
-    elif age > SUPERVISOR_LIMITS.free_fall_time:
+    elif age > FIRMWARE_TIMEOUTS.free_fall:
         _enter(fw, SUPERVISOR_STATES.free_fall)
     elif not fw.turning:
         _enter(fw, SUPERVISOR_STATES.landed)
-    elif age > SUPERVISOR_LIMITS.level_out_time:
+    elif age > FIRMWARE_TIMEOUTS.level_out:
         if fw.state != SUPERVISOR_STATES.level_out:
             _enter(fw, SUPERVISOR_STATES.level_out)
     elif fw.state != SUPERVISOR_STATES.flying:
@@ -198,7 +140,7 @@ def _update_after_landing(fw: Record, waited: int) -> None:
 @kernel()
 def _update_state(fw: Record) -> None:
     """Make at most one change of state."""
-    if fw.watchdog and fw.tick - fw.watchdog_at >= SUPERVISOR_LIMITS.watchdog_time:
+    if fw.watchdog and fw.tick - fw.watchdog_at >= FIRMWARE_TIMEOUTS.watchdog:
         fw.estop = 1
     waited = fw.tick - fw.since
     if fw.state == SUPERVISOR_STATES.locked:
@@ -246,28 +188,34 @@ def may_arm(fw: Record) -> bool:
 def _write_information(fw: Record) -> None:
     """Write whether the drone flies, and the bits of supervisor.info.
 
-    0 can arm, 1 armed, 2 arms itself, 3 can fly, 4 flying, 5 tumbled, 6 locked, 7 crashed,
-    8 planner in control, 9 plan ended. Never set: 10 planner disabled, 11 a fault of a deck.
+    The bits plan_disabled and deck_fault are never set.
     """
     is_flying = fw.state in (SUPERVISOR_STATES.flying, SUPERVISOR_STATES.level_out)
     fw.flying = 1 if is_flying else 0
-    ended = is_finished(fw)
-    bits = (
-        may_arm(fw),
-        fw.armed != 0,
-        fw.auto_arm != 0,
-        may_fly(fw),
-        is_flying,
-        fw.tumbled != 0,
-        fw.state == SUPERVISOR_STATES.locked,
-        fw.state == SUPERVISOR_STATES.crashed,
-        fw.priority == SETPOINT_PRIORITIES.high_level
-        and fw.planner.state != PLANNER_STATES.idle,
-        ended,
-    )
     word = 0
-    for k in range(10):
-        word |= (1 if bits[k] else 0) << k
+    if may_arm(fw):
+        word |= SUPERVISOR_BITS.can_arm
+    if fw.armed:
+        word |= SUPERVISOR_BITS.armed
+    if fw.auto_arm:
+        word |= SUPERVISOR_BITS.auto_arm
+    if may_fly(fw):
+        word |= SUPERVISOR_BITS.can_fly
+    if is_flying:
+        word |= SUPERVISOR_BITS.flying
+    if fw.tumbled:
+        word |= SUPERVISOR_BITS.tumbled
+    if fw.state == SUPERVISOR_STATES.locked:
+        word |= SUPERVISOR_BITS.locked
+    if fw.state == SUPERVISOR_STATES.crashed:
+        word |= SUPERVISOR_BITS.crashed
+    if (
+        fw.priority == SETPOINT_PRIORITIES.high_level
+        and fw.planner.state != PLANNER_STATES.idle
+    ):
+        word |= SUPERVISOR_BITS.planned
+    if is_finished(fw):
+        word |= SUPERVISOR_BITS.plan_ended
     fw.info = word
 
 

@@ -2,23 +2,23 @@
 
 import math
 
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio import checks
-from crazychoir.safety.rules.radio_watch import SupervisorBit
 
 
 def test_the_supervisor() -> None:
-    ready = checks.ReadinessBit.CAN_FLY | checks.ReadinessBit.AUTO_ARM
+    ready = SUPERVISOR_BITS.can_fly | SUPERVISOR_BITS.auto_arm
     assert checks.supervisor_problems(ready) == []
-    assert checks.supervisor_problems(ready | SupervisorBit.TUMBLED) == ["tumbled"]
-    assert "locked" in checks.supervisor_problems(SupervisorBit.LOCKED)[0]
+    assert checks.supervisor_problems(ready | SUPERVISOR_BITS.tumbled) == ["tumbled"]
+    assert "locked" in checks.supervisor_problems(SUPERVISOR_BITS.locked)[0]
     assert checks.supervisor_problems(0)
-    assert checks.supervisor_problems(checks.ReadinessBit.AUTO_ARM), (
+    assert checks.supervisor_problems(SUPERVISOR_BITS.auto_arm), (
         "its checks before flight have failed"
     )
-    assert checks.supervisor_problems(checks.ReadinessBit.CAN_ARM) == [], (
+    assert checks.supervisor_problems(SUPERVISOR_BITS.can_arm) == [], (
         "its motors wait for a request"
     )
-    assert checks.supervisor_problems(ready | checks.ReadinessBit.DECK_FAULT) == [
+    assert checks.supervisor_problems(ready | SUPERVISOR_BITS.deck_fault) == [
         "a deck is faulty"
     ]
 

@@ -6,7 +6,8 @@ import pytest
 from virtual_time import virtual
 
 from crazychoir.errors import LinkFailed, Refused
-from crazychoir.radio import checks, identify
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
+from crazychoir.radio import identify
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 
 
@@ -118,7 +119,7 @@ def test_the_leds_are_restored_when_identify_is_cancelled(drone):
 
 
 @pytest.mark.parametrize(
-    "supervisor", [None, checks.ReadinessBit.CAN_FLY | checks.ReadinessBit.ARMED]
+    "supervisor", [None, SUPERVISOR_BITS.can_fly | SUPERVISOR_BITS.armed]
 )
 def test_a_drone_that_stands_or_reports_nothing_is_lit(drone, supervisor):
     drone[0].supervisor = supervisor
@@ -131,7 +132,7 @@ def test_a_drone_that_stands_or_reports_nothing_is_lit(drone, supervisor):
 
 
 def test_a_flying_drone_is_left_alone(drone):
-    drone[0].supervisor = checks.ReadinessBit.FLYING | checks.ReadinessBit.CAN_FLY
+    drone[0].supervisor = SUPERVISOR_BITS.flying | SUPERVISOR_BITS.can_fly
 
     async def does(clock):
         with pytest.raises(Refused, match="it flies"):

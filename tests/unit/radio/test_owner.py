@@ -7,7 +7,7 @@ from radio_drones import READY, Kept, head
 from virtual_time import virtual
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.radio import checks
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio.drone.timing import SILENCE_LIMITS
 from crazychoir.radio.owner import OWNER_LIMITS, RadioProcess
 from crazychoir.safety.identity.pose_gate import PoseGate
@@ -24,7 +24,7 @@ async def test_an_uncommanded_drone_is_cut_only_beyond_the_limit(clock) -> None:
     drone, body, kept = owner.drones[0], owner.bodies[0], Kept()
     drone.link.connection, drone.estimate.health["supervisor.info"] = (
         kept,
-        READY | checks.ReadinessBit.FLYING,
+        READY | SUPERVISOR_BITS.flying,
     )
     await clock.sleep(5.0)
     for x, cut in ((1.0, False), (20.0, True)):
@@ -41,9 +41,7 @@ async def test_an_owner_that_ends_names_the_drones_that_have_not_landed(clock) -
         "drones": [{"id": 7, "home": [0, 0, 0], "uri": "udp://127.0.0.1:19850"}],
     }
     owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
-    owner.drones[7].estimate.health["supervisor.info"] = (
-        READY | checks.ReadinessBit.FLYING
-    )
+    owner.drones[7].estimate.health["supervisor.info"] = READY | SUPERVISOR_BITS.flying
     running = asyncio.ensure_future(owner.run())
     owner.end("")
     await clock.sleep(OWNER_LIMITS.landing_time - 1.0)
@@ -63,7 +61,7 @@ async def test_a_silent_drone_beyond_the_limit_is_not_cut(clock) -> None:
     drone, body, kept = owner.drones[0], owner.bodies[0], Kept()
     drone.link.connection, drone.estimate.health["supervisor.info"] = (
         kept,
-        READY | checks.ReadinessBit.FLYING,
+        READY | SUPERVISOR_BITS.flying,
     )
     kept.silence = SILENCE_LIMITS.link_lost + 0.1
     await clock.sleep(5.0)

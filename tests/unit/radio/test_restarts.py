@@ -4,7 +4,7 @@ import pytest
 from virtual_drones import Hangar
 
 from crazychoir.radio.protocol.crtp import PACKET_FORMS, CrtpPort, Packet
-from crazychoir.radio.virtual.drone import FIRMWARE_TIMEOUTS
+from crazychoir.radio.virtual.drone import BOOT_TIME
 from crazychoir.radio.virtual.flight import SPECIAL_FORMS
 
 CHECKED = [
@@ -67,7 +67,7 @@ def test_a_flying_drone_that_restarts_falls_and_comes_back_with_all_forgotten():
     assert not hangar.motors
     assert hangar.state[2] == 0.0
     assert list(hangar.drone.take(Packet(CrtpPort.PARAMETERS, 1, b"\0\0"))) == []
-    hangar.run(1e-3 * FIRMWARE_TIMEOUTS.boot)
+    hangar.run(1e-3 * BOOT_TIME)
     assert len(list(hangar.drone.take(Packet(CrtpPort.PARAMETERS, 1, b"\0\0")))) == 1
     assert hangar.drone.parameters.read("pid_rate.roll_kp") == 240.0
     assert hangar.drone.parameters.read("pid_attitude.roll_kp") == 6.0

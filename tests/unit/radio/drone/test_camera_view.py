@@ -7,7 +7,7 @@ import pytest
 from radio_drones import LINE, READY, head, made, seen, tell, up
 from virtual_time import virtual
 
-from crazychoir.radio import checks
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio.drone.camera_view import CAMERA_POSE_LIMITS
 from crazychoir.radio.protocol.crtp import PACKET_FORMS
 from crazychoir.safety.identity.takeoff_check import TiltTrack
@@ -42,15 +42,15 @@ async def test_in_its_ascent_it_is_told_places_until_its_body_is_known_to_move_a
     )
     assert set(await said_for(1.0, READY)) == {pose}
     drone.commands.send(LINE)
-    told = await said_for(4.0, READY | checks.ReadinessBit.FLYING)
+    told = await said_for(4.0, READY | SUPERVISOR_BITS.flying)
     assert set(told) == {place}
     assert 38 <= len(told) <= 42, "as often as [radio] says"
-    assert set((await said_for(6.0, READY | checks.ReadinessBit.FLYING))[-10:]) == {
-        pose
-    }, "it has been watched for long enough"
+    assert set((await said_for(6.0, READY | SUPERVISOR_BITS.flying))[-10:]) == {pose}, (
+        "it has been watched for long enough"
+    )
     await said_for(0.5, READY)
     drone.commands.send(LINE)
-    assert set(await said_for(1.0, READY | checks.ReadinessBit.FLYING)) == {place}, (
+    assert set(await said_for(1.0, READY | SUPERVISOR_BITS.flying)) == {place}, (
         "so is its next ascent"
     )
 
@@ -62,7 +62,7 @@ async def test_a_drone_that_moves_unlike_its_body_is_silenced_and_may_not_take_o
     drone, kept = made(clock)
     drone.preparation.is_prepared = drone.preparation.is_placed = True
     for k in range(60):
-        tell(drone, READY | checks.ReadinessBit.FLYING * (k > 20))
+        tell(drone, READY | SUPERVISOR_BITS.flying * (k > 20))
         swing = 0.05 * max(k - 22, 0) / 2.0
         drone.view.take_off.sights.tracks[0].add(
             clock.now(), complex(0.0, swing), 0.0
@@ -133,7 +133,7 @@ async def test_one_wrong_pose_does_not_end_the_watch_of_a_take_off(clock) -> Non
     drone, _ = made(clock)
     tell(drone, READY)
     drone.commands.send(LINE)
-    tell(drone, READY | checks.ReadinessBit.FLYING)
+    tell(drone, READY | SUPERVISOR_BITS.flying)
     for k in range(60):
         drone.view.see(up(5.0 if k == 10 or k >= 40 else 0.0), 0.0)
         assert drone.view.take_off.watched is (

@@ -5,7 +5,7 @@ import pytest
 from radio_drones import LINE, READY, STOP, head, made, tell
 from virtual_time import virtual
 
-from crazychoir.radio import checks
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio.drone.timing import REPEAT_RULES
 from crazychoir.types import FPQR, XYZ
 
@@ -36,7 +36,7 @@ async def test_an_agent_that_has_not_flown_the_drone_does_not_stop_its_motors(
     clock,
 ) -> None:
     drone, kept = made(clock)
-    tell(drone, READY | checks.ReadinessBit.FLYING)
+    tell(drone, READY | SUPERVISOR_BITS.flying)
     drone.commands.send(STOP)
     assert kept.sent == []
     drone.commands.send(LINE)

@@ -7,7 +7,7 @@ import pytest
 from radio_drones import LAND, LINE, READY, Kept, head, made, tell
 from virtual_time import virtual
 
-from crazychoir.radio import checks
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio.drone.radio_drone import RadioDrone
 from crazychoir.radio.drone.timing import REPEAT_RULES
 from crazychoir.radio.protocol.crtp import PACKET_FORMS, CrtpPort, Packet
@@ -59,7 +59,7 @@ class Planner(Kept):
         """Its motors turn until it has landed, and count as turning for 2 s more."""
         now = self.drone.clock.now()
         self.turned = now if now < self.ends or not self.lands else self.turned
-        tell(self.drone, READY | checks.ReadinessBit.FLYING * (now - self.turned < 2.0))
+        tell(self.drone, READY | SUPERVISOR_BITS.flying * (now - self.turned < 2.0))
 
 
 @pytest.mark.parametrize("kind", ["xyz", "frpy"])
@@ -110,7 +110,7 @@ async def test_a_landing_drone_is_not_stopped_above_the_floor_by_zero_thrust(
         """How often its motors are stopped meanwhile."""
         kept.sent.clear()
         for _ in range(round(10 * seconds)):
-            tell(drone, READY | checks.ReadinessBit.FLYING)
+            tell(drone, READY | SUPERVISOR_BITS.flying)
             drone.commands.send(FRPY(np.zeros(4)))
             drone.landing.go_on()
             await clock.sleep(0.1)
@@ -118,7 +118,7 @@ async def test_a_landing_drone_is_not_stopped_above_the_floor_by_zero_thrust(
             port == 3 for port, _, _ in kept.sent
         )
 
-    tell(drone, READY | checks.ReadinessBit.FLYING)
+    tell(drone, READY | SUPERVISOR_BITS.flying)
     drone.commands.send(FRPY(np.array([0.3, 0.0, 0.0, 0.0])))
     kept.silence = 5.0
     drone.commands.send(LAND)
@@ -141,7 +141,7 @@ async def test_a_late_answer_to_an_earlier_landing_is_none_to_this_one(clock) ->
     answer = Packet(
         CrtpPort.HIGH_LEVEL, 0, bytes([*PACKET_FORMS["land"].head, 0, 0, 0])
     )
-    tell(drone, READY | checks.ReadinessBit.FLYING)
+    tell(drone, READY | SUPERVISOR_BITS.flying)
     drone.commands.send(LAND)
     drone.landing.go_on()
     drone.commands.send(FRPY(np.array([0.3, 0.0, 0.0, 0.0])))
@@ -158,7 +158,7 @@ async def test_a_late_answer_to_an_earlier_landing_is_none_to_this_one(clock) ->
 @virtual
 async def test_a_second_landing_does_not_change_the_first(clock) -> None:
     drone, _ = made(clock)
-    tell(drone, READY | checks.ReadinessBit.FLYING)
+    tell(drone, READY | SUPERVISOR_BITS.flying)
     drone.commands.send(LAND)
     drone.commands.send(XYZ("land", np.array([0.0, 0.0, 0.0, 0.0, 9.0])))
     assert drone.landing.command is LAND

@@ -9,8 +9,8 @@ from virtual_time import virtual
 
 from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.platforms import Battery
-from crazychoir.radio import checks
 from crazychoir.radio.drone.link_report import PROBLEM_TEXTS
 from crazychoir.radio.link.connection import AWAITING_LOG
 from crazychoir.runtime.mailbox import Call
@@ -33,7 +33,7 @@ async def test_nothing_is_said_of_its_body_before_it_has_said_whether_it_flies(
     drone.report.publish()
     await clock.sleep(0.5)
     assert said == []
-    tell(drone, READY | checks.ReadinessBit.FLYING)
+    tell(drone, READY | SUPERVISOR_BITS.flying)
     drone.report.publish()
     await clock.sleep(0.5)
     assert said == [True]
@@ -49,7 +49,7 @@ async def test_why_it_may_not_take_off(clock) -> None:
     drone.link.connection, drone.link.problem = None, "no answer within 2 s"
     assert drone.report.find_problems() == ["no answer within 2 s"]
     drone, _ = made(clock)
-    tell(drone, READY | checks.ReadinessBit.FLYING)
+    tell(drone, READY | SUPERVISOR_BITS.flying)
     assert drone.report.find_problems() == []
     drone.commands.cut()
     assert drone.report.find_problems() == [PROBLEM_TEXTS.motors_cut]
@@ -84,7 +84,7 @@ async def test_a_locked_virtual_drone_is_power_cycled_by_a_command(
     await clock.sleep(0.1)
     tell(drone, READY)
     drone.preparation.is_prepared = drone.preparation.is_placed = True
-    tell(drone, checks.SupervisorBit.LOCKED)
+    tell(drone, SUPERVISOR_BITS.locked)
     locked = "locked by its firmware until it is switched off and on"
     assert (
         drone.report.find_problems()[0]
@@ -110,7 +110,7 @@ async def test_a_locked_virtual_drone_is_power_cycled_by_a_command(
 @virtual
 async def test_the_battery_that_it_needs_to_begin_is_its_platforms(clock) -> None:
     drone, _ = made(clock)
-    tell(drone, READY | checks.ReadinessBit.FLYING)
+    tell(drone, READY | SUPERVISOR_BITS.flying)
     drone.estimate.health["pm.vbat"] = 3.65
     assert drone.report.find_problems() == [
         "battery at 3.65 V, 3.7 V are needed to start"
@@ -123,7 +123,7 @@ async def test_the_battery_that_it_needs_to_begin_is_its_platforms(clock) -> Non
 async def test_homes_count_again_once_it_was_switched_off(clock) -> None:
     drone, _ = made(clock)
     for at, flying, flown in (
-        (1000, checks.ReadinessBit.FLYING, True),
+        (1000, SUPERVISOR_BITS.flying, True),
         (1100, 0, True),
         (40, 0, False),
     ):

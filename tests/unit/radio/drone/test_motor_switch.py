@@ -8,7 +8,7 @@ from radio_drones import LAND, LINE, READY, Kept, Slow, head, made, tell
 from virtual_time import virtual
 
 from crazychoir.errors import Refused
-from crazychoir.radio import checks
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio.drone.link_report import PROBLEM_TEXTS
 from crazychoir.radio.protocol.crtp import Packet
 
@@ -17,9 +17,9 @@ from crazychoir.radio.protocol.crtp import Packet
 async def test_a_cut_is_repeated_until_the_drone_is_locked_or_power_cycled(
     clock,
 ) -> None:
-    for said, at in ((checks.SupervisorBit.LOCKED, None), (READY, 40)):
+    for said, at in ((SUPERVISOR_BITS.locked, None), (READY, 40)):
         drone, kept = made(clock)
-        tell(drone, READY | checks.ReadinessBit.FLYING, 5000)
+        tell(drone, READY | SUPERVISOR_BITS.flying, 5000)
         insisting = asyncio.create_task(drone.motors.insist(kept))
         drone.commands.cut()
         await clock.sleep(1.0)
@@ -60,7 +60,7 @@ async def test_a_cut_is_said_again_until_it_was_heard_also_while_its_link_is_bei
     opening.sent.clear()
     await clock.sleep(0.5)
     assert opening.sent.count(head("emergency_stop")) == 10
-    tell(drone, checks.SupervisorBit.LOCKED)
+    tell(drone, SUPERVISOR_BITS.locked)
     opening.sent.clear()
     await clock.sleep(0.5)
     assert opening.sent == []

@@ -8,8 +8,8 @@ from radio_drones import READY, Kept, made, tell
 from virtual_time import virtual
 
 from crazychoir.errors import LinkFailed
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.numerics.math3d import yaw_of
-from crazychoir.radio import checks
 from crazychoir.radio.drone.own_estimate import LOG_NAMES
 from crazychoir.radio.drone.timing import CONNECT_ATTEMPTS, SILENCE_LIMITS
 
@@ -27,7 +27,7 @@ async def test_what_was_overtaken_changes_nothing(clock) -> None:
     drone, _ = made(clock)
     tell(drone, READY, 5000)
     await clock.sleep(0.9)
-    tell(drone, READY | checks.ReadinessBit.FLYING, 5900)
+    tell(drone, READY | SUPERVISOR_BITS.flying, 5900)
     tell(drone, READY, 5020)
     assert (drone.estimate.is_flying, drone.link.why) == (True, "")
 

@@ -6,11 +6,12 @@ from radio_drones import READY, made, tell
 from virtual_time import virtual
 
 from crazychoir.errors import ConfigError
+from crazychoir.firmware.release import PROTOCOL_VERSION
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.platforms import CRAZYFLIE_21, CRAZYFLIE_21_BRUSHLESS
-from crazychoir.radio.checks import ReadinessBit
 from crazychoir.radio.drone.own_estimate import OwnEstimate
 from crazychoir.radio.drone.preparation import Preparation, check_protocol
-from crazychoir.radio.protocol.crtp import CRTP_FORMAT, FIRST_VERSIONS, PACKET_FORMS
+from crazychoir.radio.protocol.crtp import FIRST_VERSIONS, PACKET_FORMS
 from crazychoir.radio.protocol.handlers import RADIO_HANDLERS
 
 
@@ -77,7 +78,7 @@ async def test_an_estimator_is_started_at_the_given_pose_but_not_in_flight(
         ("kalman.initialZ", 3.0),
         ("kalman.initialYaw", 0.5),
     ]
-    tell(drone, READY | ReadinessBit.FLYING)
+    tell(drone, READY | SUPERVISOR_BITS.flying)
     await place(flying, np.array([1.0, 2.0, 3.0]), 0.5)
     assert flying.set_values == initial
     assert not drone.preparation.is_placed
@@ -97,7 +98,7 @@ async def test_a_release_of_unknown_thrust_is_refused_on_the_ground_and_lands_in
     tell(drone, READY)
     with pytest.raises(ConfigError, match=r"2025\.09"):
         await drone.preparation.check_release(old, None)
-    tell(drone, READY | ReadinessBit.FLYING)
+    tell(drone, READY | SUPERVISOR_BITS.flying)
     assert "2025.09" in await drone.preparation.check_release(old, None)
     assert drone.preparation.release == ""
     assert await drone.preparation.check_release(FirmwareOnGround(), None) == ""
@@ -121,7 +122,7 @@ LEAST_VERSIONS = {"fpqr": -1, "frpy": -1, "vel": 9, "xyz": 8, "fullstate": -1}
 
 @pytest.mark.parametrize("kind", RADIO_HANDLERS)
 def test_each_sender_says_what_it_needs(kind: str) -> None:
-    for version in range(-1, CRTP_FORMAT.version + 1):
+    for version in range(-1, PROTOCOL_VERSION + 1):
         if version >= LEAST_VERSIONS[kind]:
             check_protocol(version, kind, CRAZYFLIE_21, "drone 3")
         else:
@@ -157,4 +158,4 @@ def test_the_refusal_says_the_numbers_and_what_to_do() -> None:
 
 def test_the_version_table_names_only_known_forms_and_existing_versions() -> None:
     assert FIRST_VERSIONS.keys() <= PACKET_FORMS.keys()
-    assert max(FIRST_VERSIONS.values()) == CRTP_FORMAT.version
+    assert max(FIRST_VERSIONS.values()) == PROTOCOL_VERSION

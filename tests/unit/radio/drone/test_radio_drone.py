@@ -8,7 +8,7 @@ from radio_drones import LAND, LINE, READY, STOP, Slow, head, made, tell, up
 from virtual_time import virtual
 
 from crazychoir.errors import ConfigError, LinkFailed
-from crazychoir.radio import checks
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio.drone.radio_drone import RadioDrone
 from crazychoir.radio.drone.timing import REPEAT_RULES, SILENCE_LIMITS
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
@@ -20,7 +20,7 @@ from crazychoir.types import FPQR, Vel
 async def test_a_flying_drone_without_commands_is_an_orphan(clock) -> None:
     drone, _ = made(clock)
     drone.link.up_ns = clock.now_ns()
-    tell(drone, READY | checks.ReadinessBit.FLYING)
+    tell(drone, READY | SUPERVISOR_BITS.flying)
     assert not drone.is_orphan
     await clock.sleep(SILENCE_LIMITS.drone_orphaned + 0.1)
     assert drone.is_orphan
@@ -125,13 +125,13 @@ async def test_a_drone_that_is_refused_while_it_flies_is_landed_first(clock) -> 
         drone, _ = made(clock, kind)
         drone.link.connection, old = (
             None,
-            Asked(drone, supervisor=READY | checks.ReadinessBit.FLYING, **link),
+            Asked(drone, supervisor=READY | SUPERVISOR_BITS.flying, **link),
         )
         await drone._connect(old, clock.now())
         assert drone.link.connection is old
         assert "2025.09" in drone.link.problem or "version 8" in drone.link.problem
         await clock.sleep(SILENCE_LIMITS.drone_orphaned + 0.1)
-        tell(drone, READY | checks.ReadinessBit.FLYING)
+        tell(drone, READY | SUPERVISOR_BITS.flying)
         drone.commands.send(
             Vel(np.array([0.1, 0.0, 0.0, 0.0]))
             if kind == "vel"
@@ -155,7 +155,7 @@ async def test_a_drone_without_logs_is_still_landed_and_its_watchdog_fed(
 ) -> None:
     drone, _ = made(clock, watchdog=True)
     drone.preparation.is_prepared = drone.preparation.is_placed = True
-    tell(drone, READY | checks.ReadinessBit.FLYING)
+    tell(drone, READY | SUPERVISOR_BITS.flying)
     drone.link.connection = slow = Slow()
     drone.commands.send(LAND)
     looking = asyncio.ensure_future(drone._look_after(slow))
@@ -184,7 +184,7 @@ async def test_a_link_that_is_late_in_flight_is_said_now_and_then(clock) -> None
     for supervisor, texts in (
         (READY, set()),
         (
-            READY | checks.ReadinessBit.FLYING,
+            READY | SUPERVISOR_BITS.flying,
             {"its link takes 0.40 s for a round trip"},
         ),
     ):
@@ -237,7 +237,7 @@ async def test_a_flying_drone_that_was_out_of_reach_is_not_stopped_by_a_stale_st
     drone, kept = made(clock)
     drone.preparation.is_prepared = drone.preparation.is_placed = True
     kept.failure = kept.dongle_failure = ""
-    tell(drone, READY | checks.ReadinessBit.FLYING)
+    tell(drone, READY | SUPERVISOR_BITS.flying)
     drone.commands.send(LINE)
     drone.commands.send(STOP)
     assert kept.sent[-1] == head("planner_stop"), (
@@ -250,7 +250,7 @@ async def test_a_flying_drone_that_was_out_of_reach_is_not_stopped_by_a_stale_st
     await clock.sleep(0.1)
     drone.commands.send(LINE)
     kept.silence = 0.0
-    tell(drone, READY | checks.ReadinessBit.FLYING)
+    tell(drone, READY | SUPERVISOR_BITS.flying)
     drone.view.see(up(1.0), 0.0)
     kept.sent.clear()
     drone.commands.send(STOP)

@@ -3,7 +3,7 @@
 from radio_drones import READY, head, made
 from virtual_time import virtual
 
-from crazychoir.radio import checks
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 
 
 @virtual
@@ -19,7 +19,7 @@ async def test_the_watchdog_is_fed_for_a_drone_that_is_sent_places_if_requested(
         drone, kept = made(clock, kind, pose=pose, **radio)
         drone.watchdog.feed()
         assert not kept.sent, "on the ground no landing begins"
-        drone.estimate.health["supervisor.info"] = READY | checks.ReadinessBit.FLYING
+        drone.estimate.health["supervisor.info"] = READY | SUPERVISOR_BITS.flying
         for _ in range(30):
             drone.watchdog.feed()
             await clock.sleep(0.05)

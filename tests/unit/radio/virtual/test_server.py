@@ -15,7 +15,7 @@ from crazychoir.errors import ConfigError, Refused
 from crazychoir.mocap.frames import FRAME_PROTOCOL, parse_frame
 from crazychoir.radio.protocol.crtp import PACKET_FORMS, Packet
 from crazychoir.radio.virtual.control import QUESTION_LIMITS, ask_server
-from crazychoir.radio.virtual.drone import FIRMWARE_TIMEOUTS
+from crazychoir.radio.virtual.drone import BOOT_TIME
 from crazychoir.radio.virtual.faults import FAULT_SETTINGS, Faults, check_faults
 from crazychoir.radio.virtual.server import VirtualServer
 from crazychoir.radio.virtual.setup import (
@@ -135,7 +135,7 @@ async def test_a_restart_closes_its_port_until_it_has_started():
         hall.run(0.05)
         assert await hall.said(ECHO) == "refused"
         assert await hall.said(ECHO, drone=1) == ECHO
-        hall.run(1e-3 * FIRMWARE_TIMEOUTS.boot)
+        hall.run(1e-3 * BOOT_TIME)
         assert await hall.said(ECHO) == ECHO
 
 
@@ -151,7 +151,7 @@ async def test_switched_off_it_is_not_there_and_falls():
             "supervisor"
         ] == "off"
         await hall.asked({"faults": {"0": {"off": 0}}})
-        hall.run(1e-3 * FIRMWARE_TIMEOUTS.boot + 0.1)
+        hall.run(1e-3 * BOOT_TIME + 0.1)
         assert await hall.said(ECHO) == ECHO
         hall.take_off()
         assert hall.height() > 0.5
@@ -196,7 +196,7 @@ async def test_a_fallen_drone_is_carried_home_and_flies_again():
         assert "hit the floor" in hall.server.questions.describe_drone(1)["crashed"]
         assert hall.server.questions.describe_drone(1)["p"][0] > 1.0
         await hall.asked({"faults": {"1": {"off": 0, "home": 1, "reboot": 1}}})
-        hall.run(1e-3 * FIRMWARE_TIMEOUTS.boot + 0.5)
+        hall.run(1e-3 * BOOT_TIME + 0.5)
         assert hall.server.questions.describe_drone(1)["crashed"] == ""
         assert np.allclose(hall.server.world.states[1], home, atol=1e-3)
         hall.take_off(1)
@@ -229,14 +229,14 @@ async def test_a_body_that_is_nowhere_stands_at_home_again_and_the_others_fly_on
         _in_the_air(hall)
         await hall.asked({"faults": {"1": {"motor": 2}}})
         hall.server.world.states[1, 3] = np.nan
-        hall.run(1e-3 * FIRMWARE_TIMEOUTS.boot + 0.5)
+        hall.run(1e-3 * BOOT_TIME + 0.5)
         assert (await _fly_on(hall, caplog))["vbat"] > 4.0
         assert np.allclose(hall.server.world.states[1], home, atol=1e-3)
         hall.take_off(1)
         assert hall.height(1) < 0.3, "a motor that was broken is broken still"
         hall.server.world.states[1, 0] = np.inf
         await hall.asked({"faults": {"1": {"motor": 0}}})
-        hall.run(1e-3 * FIRMWARE_TIMEOUTS.boot)
+        hall.run(1e-3 * BOOT_TIME)
         hall.take_off(1)
         assert hall.height(1) > 0.5
 
@@ -247,7 +247,7 @@ async def test_a_firmware_that_reckons_with_no_numbers_is_reset_and_the_others_f
     async with Open(3) as hall:
         _in_the_air(hall)
         hall.server.world.onboard[1].record["roll_pid"]["integral"] = np.nan
-        hall.run(1e-3 * FIRMWARE_TIMEOUTS.boot + 0.5)
+        hall.run(1e-3 * BOOT_TIME + 0.5)
         assert (await _fly_on(hall, caplog))["p"][2] < 0.1
 
 
@@ -261,7 +261,7 @@ async def test_what_a_drone_cannot_bear_restarts_it_alone(monkeypatch, caplog):
         assert (
             "virtual drone 1: what it says by itself: ZeroDivisionError" in caplog.text
         )
-        hall.run(1e-3 * FIRMWARE_TIMEOUTS.boot)
+        hall.run(1e-3 * BOOT_TIME)
         monkeypatch.setattr(drone.parameters, "take", lambda packet: [][0])
         assert list(drone.take(Packet(2, 1, b"\0\0"))) == []
         assert (

@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
+from crazychoir.firmware.memories import TRAJECTORY_MEMORY
+from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.simulation.onboard.board_planner import BoardPlanner, TrajectoryStore
-from crazychoir.simulation.onboard.planner import PLANNER_ANSWERS
-from crazychoir.simulation.onboard.record import TRAJECTORY_MEMORY, make_fleet
+from crazychoir.simulation.onboard.record import make_fleet
 
 PIECE = np.ones((1, TRAJECTORY_MEMORY.piece_size))
 
@@ -33,5 +34,5 @@ def test_a_slot_that_is_not_there_is_refused(rows):
 
 def test_only_finite_flights_are_planned_where_the_supervisor_allows_flight(rows):
     planner = BoardPlanner(rows, 0, TrajectoryStore(rows, 0))
-    assert planner.take_off(float("nan"), 1.0) == PLANNER_ANSWERS.refused
-    assert planner.take_off(1.0, 1.0) == PLANNER_ANSWERS.flight_forbidden
+    assert planner.take_off(float("nan"), 1.0) == FIRMWARE_RESULTS.refused
+    assert planner.take_off(1.0, 1.0) == FIRMWARE_RESULTS.busy
