@@ -17,14 +17,25 @@ LINK = (
 PLATFORM = (
     ("the version of the protocol is 12", "dd 00", ["dd 00 0c 00 00 00"]),
     ("the release", "dd 01", ["dd 01 32 30 32 35 2e 31 32"]),
-    ("the kind of drone", "dd 02", ["dd 02 43 46 32 31"]),
+    (
+        "the kind of drone: Crazyflie 2.1",
+        "dd 02",
+        ["dd 02 43 72 61 7a 79 66 6c 69 65 20 32 2e 31"],
+    ),
     ("arm, the old way", "dc 01 01", ["dc 01 01 01"]),
     ("recover, the old way", "dc 02", ["dc 02 01 01"]),
-    ("a notification is echoed", "dc 03 01", ["dc 03 01"]),
+    ("a notification has an empty answer", "dc 03 01", ["dc"]),
     ("a continuous wave is echoed", "dc 00 01", ["dc 00 01"]),
+    (
+        "without a command: the byte of the packet before, 0, the protocol",
+        "dd",
+        ["dd 00 0c 00 00 00"],
+    ),
+    ("arm, the old way, without an argument", "dc 01", ["dc 01 01 01"]),
     ("an application that is not there", "de 01 02", []),
 )
 LOG = (
+    ("settings without a command", "5d", ["5d 00 00 08"]),
     ("reset", "5d 05", ["5d 05 00 00"]),
     ("how many, 16 blocks, 128 variables", "5c 03", ["5c 03 .. .. .. .. .. .. 10 80"]),
     ("the first: acc.x, a float", "5c 02 00 00", ["5c 02 00 00 07 61 63 63 00 78 00"]),
@@ -38,6 +49,11 @@ LOG = (
         "append five floats more: 28 bytes",
         "5d 07 01" + " 77 01 00" * 5,
         ["5d 07 01 07"],
+    ),
+    (
+        "append acc.z without a type, which has no bytes",
+        "5d 07 01 00 02 00",
+        ["5d 07 01 00"],
     ),
     ("start", "5d 03 01 0a", ["5d 03 01 00"]),
     ("start in ms", "5d 08 01 0a 00", ["5d 08 01 00"]),
@@ -105,12 +121,11 @@ MEMORY = (
         "4c 02 02",
         ["4c 02 02 12 00 10 00 00" + " 00" * 8],
     ),
-    ("one that there is not", "4c 02 63", ["4c 02 63 00 00 00 00 00" + " 00" * 8]),
     ("write 4 bytes at 8", "4e 02 08 00 00 00 01 02 03 04", ["4e 02 08 00 00 00 00"]),
     ("read them", "4d 02 08 00 00 00 04", ["4d 02 08 00 00 00 00 01 02 03 04"]),
     ("write across the end", "4e 02 fe 0f 00 00 01 02 03", ["4e 02 fe 0f 00 00 05"]),
     ("read across the end", "4d 02 fe 0f 00 00 03", ["4d 02 fe 0f 00 00 05"]),
-    ("read from what there is not", "4d 63 00 00 00 00 01", ["4d 63 00 00 00 00 05"]),
+    ("read too much across the end", "4d 02 fe 0f 00 00 19", ["4d 02 fe 0f 00 00 05"]),
     (
         "the tester's bytes are their addresses",
         "4d 03 fe 00 00 00 03",
@@ -127,6 +142,9 @@ SUPERVISOR = (
     ("one of them: flying", "9c 05", ["9c 85 00"]),
     ("no such request", "9c 20", []),
     ("arm", "9d 01 01", ["9d 81 01 01"]),
+    ("arm without an argument: that of the packet before", "9d 01", ["9d 81 01 01"]),
+    ("a request with more than it needs", "9c 04 77", ["9c 84 01"]),
+    ("a request of nothing", "9c", []),
     ("disarm", "9d 01 00", ["9d 81 01 00"]),
     ("recover", "9d 02", ["9d 82 01 01"]),
     ("the watchdog says nothing", "9d 04", []),
@@ -147,10 +165,10 @@ HIGH_LEVEL = (
     (
         "one for another group: nobody is meant, so all is well",
         "8c 03 02",
-        ["8c 03 02 00 00"],
+        ["8c 03 02 .. 00"],
     ),
-    ("the group's mask", "8c 00 02", ["8c 00 02 00 00"]),
-    ("stop, for this group", "8c 03 02", ["8c 03 02 00 00"]),
+    ("the group's mask", "8c 00 02", ["8c 00 02 .. 00"]),
+    ("stop, for this group", "8c 03 02", ["8c 03 02 .. 00"]),
     ("define a trajectory", "8c 06 01 01 00 00 00 00 00 01", ["8c 06 01 01 00"]),
     ("one of too high a number", "8c 06 63 01 00 00 00 00 00 01", ["8c 06 63 01 08"]),
     (
@@ -158,7 +176,7 @@ HIGH_LEVEL = (
         "8c 0d 00 00 00 00 05 00 00 80 3f",
         ["8c 0d 00 00 08"],
     ),
-    ("no such command", "8c 63", ["8c 63 00 00 08"]),
+    ("no such command", "8c 63", ["8c 63 .. .. 08"]),
 )
 LOCALIZATION = (
     ("a position says nothing", "6c" + " 00" * 12, []),

@@ -20,7 +20,9 @@ class CrtpFormat:
     """The size and header of a packet."""
 
     payload_size: int = 30
-    """Most bytes after the header."""
+    """Most bytes after the header that the firmware sends."""
+    radio_size: int = 31
+    """Most bytes after the header that a radio carries to a drone."""
     safelink_bits: int = 0b1100
     """Header bits that safelink counts with; cflib sets them in each packet."""
 
@@ -63,7 +65,7 @@ class Packet(NamedTuple):
     channel: int
     """0 to 3."""
     data: bytes = b""
-    """Content: at most `CRTP_FORMAT.payload_size` bytes."""
+    """Content: at most `CRTP_FORMAT.radio_size` bytes."""
 
     def framed(self) -> bytes:
         """Return the packet as a datagram."""
@@ -75,9 +77,9 @@ class Packet(NamedTuple):
 
 def parse_packet(datagram: bytes) -> Packet:
     """Return the packet of a datagram. Raises CodecError if it is empty or too long for a radio."""
-    if not 1 <= len(datagram) <= 1 + CRTP_FORMAT.payload_size:
+    if not 1 <= len(datagram) <= 1 + CRTP_FORMAT.radio_size:
         raise CodecError(
-            f"CRTP packet: {len(datagram)} bytes; allowed: 1 to {1 + CRTP_FORMAT.payload_size}."
+            f"CRTP packet: {len(datagram)} bytes; allowed: 1 to {1 + CRTP_FORMAT.radio_size}."
         )
     return Packet(datagram[0] >> 4, datagram[0] & 0b11, bytes(datagram[1:]))
 
@@ -129,7 +131,7 @@ class PacketForm:
     def values(self, packet: Packet) -> tuple[Any, ...]:
         """Return the values of the fields.
 
-        Raises CodecError for a packet of another length; a firmware would reset at such a packet.
+        Raises CodecError for a packet of another length.
         """
         body = packet.data[len(self.head) :]
         if len(body) != self.layout.size:
@@ -139,6 +141,13 @@ class PacketForm:
                 f"CRTP {self.name}: {found} bytes; allowed: {allowed}, {self.fields}."
             )
         return self.layout.unpack(body)
+
+    def read(self, buffer: bytes) -> tuple[Any, ...]:
+        """Return the values at the places of the fields, however long the packet was.
+
+        buffer: the packet and what follows it in the memory of the drone
+        """
+        return self.layout.unpack_from(buffer, len(self.head))
 
 
 def _index_forms(*rows: tuple[str, int, int, bytes, str]) -> dict[str, PacketForm]:

@@ -15,13 +15,19 @@ from crazychoir.radio.protocol.crtp import (
     CrtpPort,
     Packet,
 )
-from crazychoir.radio.virtual.flight import FirmwareAssertion, FlightService
+from crazychoir.radio.virtual.console import FirmwareConsole
+from crazychoir.radio.virtual.flight import FlightService
 from crazychoir.radio.virtual.logs import LogService
 from crazychoir.radio.virtual.memories import MemoryService
 from crazychoir.radio.virtual.parameter_effects import WriteEffects
 from crazychoir.radio.virtual.parameters import ParameterService
 from crazychoir.radio.virtual.power import PowerManagement
 from crazychoir.radio.virtual.readings import make_readings
+from crazychoir.radio.virtual.receiver import (
+    FirmwareAssertion,
+    ReceiveBuffer,
+    check_sent,
+)
 from crazychoir.radio.virtual.tables import tables_of
 from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES
 from crazychoir.simulation.onboard.logs import FIRMWARE_LOG_READERS
@@ -43,8 +49,6 @@ FLIGHT_PORTS = (
     CrtpPort.PLATFORM,
 )
 """Ports of packets that concern the flight."""
-CONSOLE_PACKET_SIZE = 30
-"""Bytes of console text in one packet."""
 
 
 BOOT_TIME = 1000
@@ -80,8 +84,8 @@ class DroneIdentity:
     """Last byte of its address."""
     release: str = DESCRIBED_RELEASE
     """Release of its firmware."""
-    device: str = "CF21"
-    """Type of the device, as the firmware tells it."""
+    device: str = "Crazyflie 2.1"
+    """Kind of drone, as the firmware tells it."""
     decks: tuple[str, ...] = ()
     """Decks that it carries."""
 
@@ -96,9 +100,9 @@ class PersistentContent:
     """Memories, by type."""
 
 
-def device_type_of(platform: Platform) -> str:
-    """Return the device type that a drone of this platform tells."""
-    return "C21B" if platform.firmware.needs_arming else "CF21"
+def device_name_of(platform: Platform) -> str:
+    """Return the kind of drone that a drone of this platform tells (platformConfigGetDeviceTypeName)."""
+    return f"{DroneIdentity.device}{' Brushless' if platform.firmware.needs_arming else ''}"
 
 
 class VirtualCrazyflie:
@@ -129,7 +133,7 @@ class VirtualCrazyflie:
         self._counted = (0, 0, 0)
         self._deaf_until = 0
         self._heard = 0
-        self._start(has_asserted=False)
+        self._start("")
 
     @property
     def decks(self) -> tuple[str, ...]:
@@ -163,20 +167,24 @@ class VirtualCrazyflie:
         """Whether the drone still starts and hears nothing."""
         return self.uptime < self._deaf_until
 
-    def _start(self, has_asserted: bool) -> None:
+    def _start(self, failure: str) -> None:
         me = self.identity
         on = self.onboard
         tables = tables_of(me.decks, on.firmware)
         self.starts += 1
         self.power = PowerManagement()
-        self._said: list[Packet] = []
+        self.console = FirmwareConsole(on)
         self._echoes: deque[tuple[int, Packet]] = deque()
         self.memories = MemoryService(on, self.kept.memories, me.number)
         self.parameters = ParameterService(on, tables.parameters, self.kept.parameters)
         for deck in me.decks:
             self.parameters.set(f"deck.{deck}", 1.0)
         effects = WriteEffects(
-            on, self.parameters, self.memories.tester, has_asserted, self.say
+            on,
+            self.parameters,
+            self.memories.tester,
+            bool(failure),
+            self.console.say,
         )
         self.parameters.written = effects.apply
         self.flight = FlightService(
@@ -189,10 +197,9 @@ class VirtualCrazyflie:
         )
         self._readings = make_readings(self)
         self.logs = LogService(tables.logs, self.read_log)
-        self.say("SYS: ----------------------------\n")
-        self.say(
-            f"SYS: {me.device} is up and running!\nSYS: Build {me.release} (virtual)\n"
-        )
+        self._receiver = ReceiveBuffer()
+        self.console.say_start(me.device, me.release, me.decks, failure)
+        self.parameters.set("system.selftestPassed", float(not failure))
         self.parameters.restore()
 
     def computes(self, name: str) -> bool:
@@ -208,21 +215,35 @@ class VirtualCrazyflie:
     def restart(self, why: str = "") -> None:
         """Switch the drone off and on.
 
-        why: reason that the firmware gives on its console
+        why: reason for this program's log
         """
+        self.onboard.restart()
+        self._begin_anew(why, "")
+
+    def fail_assertion(self, failure: str) -> None:
+        """Reset the drone as its firmware does when an assertion fails.
+
+        Its motors stop and its link is lost. After the reset the drone answers, but its self-test
+        fails: its sensors, estimator, supervisor and motors stay off until it is switched off and
+        on (system.c, cfassert.c).
+
+        failure: assertion that has failed
+        """
+        self.onboard.restart(is_tested=False)
+        self._begin_anew(f"assertion failed: {failure}", failure)
+
+    def _begin_anew(self, why: str, failure: str) -> None:
         counted = self.flight.zeros, self.flight.malformed, self.flight.unknown
         refuses = self.flight.refuses
-        self.onboard.restart()
         self.rates = (0.0, 0.0)
         self._counted = (0, self.received, self.sent)
         self._deaf_until = BOOT_TIME
         self._heard = 0
-        self._start(has_asserted=bool(why))
+        self._start(failure)
         self.flight.zeros, self.flight.malformed, self.flight.unknown = counted
         self.refuse_arming(refuses)
         if why:
             log.warning("%s: reset: %s", self.identity.name, why)
-            self.say("SYS: The system resumed after a failed assert [WARNING]\n")
 
     def _fail(self, where: str, error: Exception) -> None:
         log.error(
@@ -255,28 +276,27 @@ class VirtualCrazyflie:
         try:
             for answer in self._take(packet):
                 self.sent += 1
-                yield answer
+                yield check_sent(answer)
+            if self.parameters.read("system.doAssert"):
+                raise FirmwareAssertion("the parameter system.doAssert")
         except FirmwareAssertion as error:
-            self.restart(str(error))
-            return
+            self.fail_assertion(str(error))
         except Exception as error:  # noqa: BLE001 - an error of one drone must not end the others
             self._fail(
                 f"a packet of port {packet.port}, channel {packet.channel}", error
             )
-            return
-        if self.parameters.read("system.doAssert"):
-            self.restart("the parameter system.doAssert")
 
     def _take(self, packet: Packet) -> Iterator[Packet]:
         port = packet.port
+        received = self._receiver.receive(packet)
         if port in FLIGHT_PORTS:
-            yield from self.flight.take(packet)
+            yield from self.flight.take(received)
         elif port == CrtpPort.LOG:
-            yield from self.logs.take(packet, self.uptime)
+            yield from self.logs.take(received, self.uptime)
         elif port == CrtpPort.PARAMETERS:
             yield from self.parameters.take(packet)
         elif port == CrtpPort.MEMORY:
-            yield from self.memories.take(packet)
+            yield from self.memories.take(received)
         elif port == CrtpPort.LINK and packet.channel == LINK_ECHO_CHANNEL:
             yield from self._echo(packet)
         elif port == CrtpPort.LINK and packet.channel == LINK_SOURCE_CHANNEL:
@@ -309,15 +329,14 @@ class VirtualCrazyflie:
             return
         if self.logs.running and now - self._heard > FIRMWARE_TIMEOUTS.link_silence:
             self.logs.blocks.clear()
-        said = self._said
-        self._said = []
-        yield from said
+        yield from self.console.take()
         while self._echoes and self._echoes[0][0] <= now:
             yield self._echoes.popleft()[1]
         yield from self.logs.due(now)
 
     def _watch(self, now: int) -> None:
         """Check the battery and the plans, and once a second the packet rates."""
+        self.console.watch(now)
         read = self.parameters.read
         vbat = float(self.onboard.record["vbat"])
         self.power.look(now, vbat, read("pm.lowVoltage"), read("pm.criticalLowVoltage"))
@@ -338,14 +357,3 @@ class VirtualCrazyflie:
                 (self.sent - sent) / seconds,
             )
             self._counted = (now, self.received, self.sent)
-
-    def say(self, text: str) -> None:
-        """Print a text on the console; no character is split between packets."""
-        line = b""
-        for character in text:
-            more = character.encode()
-            if len(line) + len(more) > CONSOLE_PACKET_SIZE:
-                self._said.append(Packet(CrtpPort.CONSOLE, 0, line))
-                line = b""
-            line += more
-        self._said.append(Packet(CrtpPort.CONSOLE, 0, line))

@@ -16,6 +16,7 @@ from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio.protocol.compressed import unpack_quaternion
 from crazychoir.radio.protocol.crtp import (
+    CRTP_FORMAT,
     PACKET_FORMS,
     CrtpPort,
     Packet,
@@ -26,6 +27,7 @@ from crazychoir.radio.virtual.commands import (
     PACKET_UNITS,
     apply_manual,
 )
+from crazychoir.radio.virtual.receiver import FirmwareAssertion, ReceivedPacket
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import YAW_MODES
 from crazychoir.simulation.onboard.units import FULL_THRUST_COMMAND
@@ -41,8 +43,12 @@ class FormlessPackets:
     """Command of LOCALIZATION's channel 1: packed poses."""
     position_channel: int = 2
     """Channel of packed positions."""
-    emulated_receiver: int = 3
-    """Set-point of an emulated receiver; its length depends on its content."""
+    notification: int = 3
+    """Command of the platform that shows the user a sign; its answer is empty."""
+    located: tuple[int, ...] = (short_lpp, packed_pose)
+    """Commands of LOCALIZATION's channel 1 that have no form."""
+    receiver: bytes = b"\x03"
+    """Head of the set-point of an emulated receiver; its length depends on its content."""
 
 
 FORMLESS_PACKETS = FormlessPackets()
@@ -54,6 +60,8 @@ class SpecialForms:
 
     unchecked: tuple[str, ...] = ("position", "stop")
     """Set-points with a length that the firmware does not check."""
+    complete: tuple[str, ...] = ("lighthouse_persist",)
+    """Requests that the firmware passes over if they are too short."""
     planned: tuple[str, ...] = (
         "take_off",
         "take_off_with_velocity",
@@ -74,8 +82,8 @@ _PACKED_POSITION_LAYOUT = struct.Struct("<Bhhh")
 """Layout of a packed position."""
 
 
-class FirmwareAssertion(CodecError):
-    """A failed assertion of the firmware: a real drone restarts."""
+BITS_REQUEST = 12
+"""Request for all bits of the supervisor; a lower number asks for one of them."""
 
 
 class FlightService:
@@ -120,72 +128,64 @@ class FlightService:
         self.planned_at: int | None = None
         """ms of the last plan that waits for the end of set-points; None without one."""
 
-    def take(self, packet: Packet) -> Iterator[Packet]:
+    def take(self, packet: ReceivedPacket) -> Iterator[Packet]:
         """Do what a packet asks for; return the answers.
 
-        Raises FirmwareAssertion where the firmware would restart.
+        Raises FirmwareAssertion where the firmware would reset.
         """
-        port, channel, data = packet
-        command = data[0] if data else -1
-        if port == CrtpPort.PLATFORM:
-            yield from self._platform(packet)
-        elif port == CrtpPort.LOCALIZATION and (channel, command) == (
-            1,
-            FORMLESS_PACKETS.short_lpp,
-        ):
-            # The answer says that the packet was not passed on: there is no anchor.
-            yield Packet(port, channel, data[:2].ljust(2, b"\0") + b"\0")
-        elif port == CrtpPort.LOCALIZATION and (channel, command) == (
-            1,
-            FORMLESS_PACKETS.packed_pose,
-        ):
-            self._packed(data[1:], _PACKED_POSE_LAYOUT)
-        elif (
-            port == CrtpPort.LOCALIZATION
-            and channel == FORMLESS_PACKETS.position_channel
-        ):
-            self._packed(data, _PACKED_POSITION_LAYOUT)
-        elif (
-            port == CrtpPort.SETPOINT
-            and channel == 0
-            and command == FORMLESS_PACKETS.emulated_receiver
-        ):
-            self._emulated(data[1:])
-        else:
-            yield from self._answered(packet)
+        port, channel, data, _ = packet
+        match (port, channel):
+            case (CrtpPort.PLATFORM, _):
+                yield from self._platform(packet)
+            case (CrtpPort.SUPERVISOR, 0):
+                yield from self._tell_supervision(data)
+            case (CrtpPort.LOCALIZATION, FORMLESS_PACKETS.position_channel):
+                self._packed(data, _PACKED_POSITION_LAYOUT)
+            case (CrtpPort.LOCALIZATION | CrtpPort.SUPERVISOR, 1) if not data:
+                self.unknown += 1
+            case (CrtpPort.LOCALIZATION, 1) if data[0] in FORMLESS_PACKETS.located:
+                yield from self._locate(packet)
+            case (CrtpPort.SETPOINT, 0) if data[:1] == FORMLESS_PACKETS.receiver:
+                self._emulated(data[1:])
+            case _:
+                yield from self._answered(packet)
 
-    def _answered(self, packet: Packet) -> Iterator[Packet]:
-        port, channel, data = packet
+    def _locate(self, packet: ReceivedPacket) -> Iterator[Packet]:
+        """Take a packet for anchors, or packed poses."""
+        port, channel, data, _ = packet
+        if data[0] == FORMLESS_PACKETS.packed_pose:
+            self._packed(data[1:], _PACKED_POSE_LAYOUT)
+        elif len(data) > 1:
+            # The answer says that the packet was not passed on: there is no anchor.
+            yield Packet(port, channel, data[:2] + b"\0")
+
+    def _answered(self, packet: ReceivedPacket) -> Iterator[Packet]:
+        port, channel, _, buffer = packet
         answer = self._obey(packet)
         if port == CrtpPort.HIGH_LEVEL:
-            yield Packet(
-                port,
-                channel,
-                data[:3].ljust(3, b"\0")
-                + bytes(
-                    [FIRMWARE_RESULTS.unknown_command if answer is None else answer]
-                ),
-            )
+            result = FIRMWARE_RESULTS.unknown_command if answer is None else answer
+            yield Packet(port, channel, buffer[:3] + bytes([result]))
         elif answer is not None and port == CrtpPort.SUPERVISOR:
-            yield Packet(port, channel, bytes([0x80 | data[0]]) + answer)
+            yield Packet(port, channel, bytes([0x80 | buffer[0]]) + answer)
         elif answer is not None and port == CrtpPort.LOCALIZATION:
-            yield Packet(port, channel, data[:1] + answer)
+            yield Packet(port, channel, buffer[:1] + answer)
 
-    def _obey(self, packet: Packet) -> Any:
+    def _obey(self, packet: ReceivedPacket) -> Any:
         """Return the answer of the model; None if there is none."""
-        forms, (port, channel, data) = self._forms, packet
-        if port == CrtpPort.SUPERVISOR and channel == 0:
-            return self._asked(data)
-        form = forms.get((port, channel, data[0] if data else -1)) or forms.get(
+        port, channel, data, buffer = packet
+        is_setpoint = port in (CrtpPort.COMMANDER, CrtpPort.SETPOINT)
+        if port == CrtpPort.SETPOINT and not data:
+            raise FirmwareAssertion("CRTP set-point: 0 bytes; allowed: 1 or more.")
+        form = self._forms.get((port, channel, buffer[0])) or self._forms.get(
             (port, channel, -1)
         )
         if form is None:
             return self._handle_unknown(packet)
-        try:
-            values = form.values(packet)
-        except CodecError as error:
-            return self._wrong(form, error)
-        if port in (CrtpPort.COMMANDER, CrtpPort.SETPOINT) and channel == 0:
+        self._check_length(form, packet)
+        if form.name in SPECIAL_FORMS.complete and len(data) <= form.layout.size:
+            return None
+        values = form.read(buffer)
+        if is_setpoint and channel == 0:
             self.last = form.name
             self.zeros += form.name == "rpyt" and not any(values)
         if (
@@ -200,26 +200,31 @@ class FlightService:
             return COMMAND_FUNCTIONS[form.name](self.onboard, *values)
         return FLIGHT_FUNCTIONS[form.name](self, *values)
 
-    def _handle_unknown(self, packet: Packet) -> None:
+    def _handle_unknown(self, packet: ReceivedPacket) -> None:
         """Count an unknown packet, and act on it as the firmware does.
 
-        An unknown set-point acts as a set-point without thrust; an empty one fails an assertion.
+        An unknown set-point acts as a set-point without thrust.
         """
         self.unknown += 1
-        if packet.port == CrtpPort.SETPOINT and packet.channel == 0:
-            if not packet.data:
-                raise FirmwareAssertion("CRTP set-point: 0 bytes; allowed: 1 or more.")
+        if (packet.port, packet.channel) == (CrtpPort.SETPOINT, 0):
             self.last = f"unknown {packet.data[0]}"
             self.onboard.setpoints.stop_setpoint()
 
-    def _wrong(self, form: PacketForm, error: CodecError) -> None:
-        self.malformed += 1
-        if (
-            form.port == CrtpPort.SETPOINT
-            and form.channel == 0
-            and form.name not in SPECIAL_FORMS.unchecked
-        ):
-            raise FirmwareAssertion(str(error)) from error
+    def _check_length(self, form: PacketForm, packet: ReceivedPacket) -> None:
+        """Count a packet of a wrong length.
+
+        Raises FirmwareAssertion if the firmware checks the length of this form. It reads the fields
+        of other forms at their places, also behind the end of the packet.
+        """
+        try:
+            form.values(Packet(packet.port, packet.channel, packet.data))
+        except CodecError as error:
+            self.malformed += 1
+            if (
+                form.port == CrtpPort.SETPOINT
+                and form.name not in SPECIAL_FORMS.unchecked
+            ):
+                raise FirmwareAssertion(str(error)) from error
 
     def _meant(self, group: int) -> bool:
         """Return whether the drone is in a group of this mask; 0 means every drone."""
@@ -232,16 +237,18 @@ class FlightService:
         """The supervisor's bits."""
         return self.onboard.info & ~(SUPERVISOR_BITS.can_arm * self.refuses)
 
-    def _asked(self, data: bytes) -> bytes | None:
-        """Return the supervisor's answer: all bits for request 12, one bit for requests 1 to 11."""
-        if len(data) != 1 or not 1 <= data[0] <= 12:
+    def _tell_supervision(self, data: bytes) -> Iterator[Packet]:
+        """Return the supervisor's bits for request 12, and one of them for requests 1 to 11."""
+        request = data[0] if data else 0
+        if not 1 <= request <= BITS_REQUEST:
             self.unknown += 1
-            return None
-        return (
+            return
+        answer = (
             self.info.to_bytes(2, "little")
-            if data[0] == 12
-            else bytes([self.info >> data[0] - 1 & 1])
+            if request == BITS_REQUEST
+            else bytes([self.info >> request - 1 & 1])
         )
+        yield Packet(CrtpPort.SUPERVISOR, 0, bytes([0x80 | request]) + answer)
 
     def arm(self, wanted: bool) -> bytes:
         """Arm or disarm; return whether this was done, and whether the drone is armed now."""
@@ -258,31 +265,34 @@ class FlightService:
 
     # The platform
 
-    def _platform(self, packet: Packet) -> Iterator[Packet]:
-        port, channel, data = packet
-        if channel == 1:
-            yield from self._version(data[:1])
-        elif channel == 0 and data:
-            answer = self._obey(packet) if data[0] in (1, 2) else None
-            yield packet if answer is None else Packet(port, channel, data[:1] + answer)
-        else:
-            # The channel of an application on board; this drone has none.
-            self.unknown += 1
+    def _platform(self, packet: ReceivedPacket) -> Iterator[Packet]:
+        match packet.channel:
+            case 0:
+                yield self._command_platform(packet)
+            case 1:
+                yield from self._version(packet.buffer[:1])
+            case _:
+                # The channel of an application on board; this drone has none.
+                self.unknown += 1
+
+    def _command_platform(self, packet: ReceivedPacket) -> Packet:
+        """Arm, recover or notify; other commands are sent back."""
+        port, channel, data, buffer = packet
+        if buffer[0] == FORMLESS_PACKETS.notification:
+            return Packet(port, channel)
+        if (port, channel, buffer[0]) not in self._forms:
+            return Packet(port, channel, data)
+        return Packet(port, channel, buffer[:1] + self._obey(packet))
 
     def _version(self, command: bytes) -> Iterator[Packet]:
-        match command:
-            case b"\x00":
-                yield Packet(
-                    CrtpPort.PLATFORM,
-                    1,
-                    command + PROTOCOL_VERSION.to_bytes(4, "little"),
-                )
-            case b"\x01":
-                yield Packet(
-                    CrtpPort.PLATFORM, 1, command + self.firmware.encode()[:29]
-                )
-            case b"\x02":
-                yield Packet(CrtpPort.PLATFORM, 1, command + self.device.encode()[:29])
+        """Answer a request for the protocol, the release or the kind of device."""
+        answers = {
+            b"\x00": PROTOCOL_VERSION.to_bytes(4, "little"),
+            b"\x01": self.firmware.encode()[: CRTP_FORMAT.payload_size - 1],
+            b"\x02": self.device.encode()[: CRTP_FORMAT.payload_size - 1],
+        }
+        if command in answers:
+            yield Packet(CrtpPort.PLATFORM, 1, command + answers[command])
 
     # Poses from outside
 

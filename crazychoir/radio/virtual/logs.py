@@ -8,7 +8,14 @@ from enum import IntEnum
 
 from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
-from crazychoir.radio.virtual.toc import LOG_TYPES, STRUCT_LETTERS, Toc, TocEntry
+from crazychoir.radio.virtual.receiver import ReceivedPacket
+from crazychoir.radio.virtual.toc import (
+    LOG_TYPES,
+    STRUCT_LETTERS,
+    Toc,
+    TocCommand,
+    TocEntry,
+)
 from crazychoir.simulation.onboard.logs import truncate_to_range
 
 LOG_TOC_CHANNEL = 0
@@ -72,8 +79,8 @@ LOG_LIMITS = LogLimits()
 
 LETTER_OF_TYPE = {
     LOG_TYPES[kind]: letter for kind, letter in STRUCT_LETTERS.items()
-} | {8: "e"}
-"""struct letter of each type; the last is a float of 16 bits, which a client may ask for."""
+} | {0: "", 8: "e"}
+"""struct letter of each type; 0 has no bytes, and 8 is a float of 16 bits, which a client may ask for."""
 ReadVariable = Callable[[str], float]
 """Callback that returns a log variable by name."""
 
@@ -120,15 +127,16 @@ class LogService:
         """Whether any block is sent periodically."""
         return any(block.period for block in self.blocks.values())
 
-    def take(self, packet: Packet, now: int) -> Iterator[Packet]:
+    def take(self, packet: ReceivedPacket, now: int) -> Iterator[Packet]:
         """Return the answers to a packet; now: ms of uptime."""
         if packet.channel == LOG_TOC_CHANNEL:
-            yield from self.toc.take(packet.data)
-        elif packet.channel == LOG_SETTINGS_CHANNEL and packet.data:
-            command = packet.data[0]
-            rest = packet.data[1:]
-            number = rest[0] if rest else 0
-            error = self._do(command, number, rest[1:], now)
+            is_item = packet.buffer[0] == TocCommand.ITEM
+            yield from self.toc.take(packet.buffer[: 3 if is_item else 1])
+        elif packet.channel == LOG_SETTINGS_CHANNEL:
+            command, number = packet.buffer[:2]
+            lists_variables = command in (BlockCommand.CREATE, BlockCommand.APPEND)
+            rest = packet.data[2:] if lists_variables else packet.buffer[2:]
+            error = self._do(command, number, rest, now)
             yield Packet(
                 CrtpPort.LOG, LOG_SETTINGS_CHANNEL, bytes([command, number, error])
             )
@@ -241,6 +249,8 @@ def pack_log_value(letter: str, value: float) -> bytes:
 
     Whole numbers are limited to their range. A float that does not fit becomes 0.
     """
+    if not letter:
+        return b""
     if letter == "e":
         return struct.pack(
             "<e",

@@ -7,6 +7,7 @@ from typing import Protocol
 from crazychoir.firmware.memories import MEMORY_KINDS, MEMORY_PACKETS
 from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
+from crazychoir.radio.virtual.receiver import FirmwareAssertion, ReceivedPacket
 from crazychoir.simulation.onboard.onboard import Onboard
 
 DECK_MEMORY_VERSION = 3
@@ -144,61 +145,68 @@ class MemoryService:
             ),
         )
 
-    def take(self, packet: Packet) -> Iterator[Packet]:
-        """Return the answers to a packet."""
-        data = packet.data
-        if packet.channel == MEMORY_PACKETS.information:
-            yield from self._about(data)
-        elif (
-            packet.channel in (MEMORY_PACKETS.read, MEMORY_PACKETS.write)
-            and len(data) > _ADDRESS_LAYOUT.size
-        ):
-            number, address = _ADDRESS_LAYOUT.unpack_from(data)
-            body = data[_ADDRESS_LAYOUT.size :]
-            reads = packet.channel == MEMORY_PACKETS.read
-            found = (
-                self._read(number, address, body[0])
-                if reads
-                else self._write(number, address, body)
-            )
-            answer = (
-                bytes([FIRMWARE_RESULTS.input_output_error])
-                if found is None
-                else bytes([FIRMWARE_RESULTS.done]) + found
-            )
-            yield Packet(
-                CrtpPort.MEMORY, packet.channel, data[: _ADDRESS_LAYOUT.size] + answer
-            )
+    def take(self, packet: ReceivedPacket) -> Iterator[Packet]:
+        """Return the answers to a packet.
 
-    def _about(self, data: bytes) -> Iterator[Packet]:
-        if data[:1] == bytes([MEMORY_PACKETS.count_command]):
+        Raises FirmwareAssertion for a memory that is not there.
+        """
+        match packet.channel:
+            case MEMORY_PACKETS.information:
+                yield from self._inform(packet.buffer)
+            case MEMORY_PACKETS.read:
+                yield self._read(packet.buffer)
+            case MEMORY_PACKETS.write:
+                yield self._write(packet)
+
+    def _inform(self, request: bytes) -> Iterator[Packet]:
+        command, number = request[:2]
+        if command == MEMORY_PACKETS.count_command:
             yield Packet(
                 CrtpPort.MEMORY,
                 MEMORY_PACKETS.information,
-                bytes([MEMORY_PACKETS.count_command, len(self.all)]),
+                bytes([command, len(self.all)]),
             )
-        elif data[:1] == bytes([MEMORY_PACKETS.description_command]) and len(data) > 1:
-            number = data[1]
-            memory = self.all[number] if number < len(self.all) else None
-            kind, size = (0, 0) if memory is None else (memory.kind, memory.size)
+        elif command == MEMORY_PACKETS.description_command:
+            memory = self._find(number)
             yield Packet(
                 CrtpPort.MEMORY,
                 MEMORY_PACKETS.information,
-                _DESCRIPTION_LAYOUT.pack(
-                    MEMORY_PACKETS.description_command, number, kind, size
-                ),
+                _DESCRIPTION_LAYOUT.pack(command, number, memory.kind, memory.size),
             )
 
-    def _read(self, number: int, address: int, length: int) -> bytes | None:
-        return (
-            self.all[number].read(address, length)
-            if number < len(self.all) and length <= MEMORY_PACKETS.largest_part
-            else None
+    def _read(self, request: bytes) -> Packet:
+        number, address = _ADDRESS_LAYOUT.unpack_from(request)
+        length = request[_ADDRESS_LAYOUT.size]
+        found = self._find(number).read(address, length)
+        result = (
+            bytes([FIRMWARE_RESULTS.input_output_error])
+            if found is None
+            else bytes([FIRMWARE_RESULTS.done]) + found
+        )
+        return Packet(
+            CrtpPort.MEMORY,
+            MEMORY_PACKETS.read,
+            request[: _ADDRESS_LAYOUT.size] + result,
         )
 
-    def _write(self, number: int, address: int, data: bytes) -> bytes | None:
-        return (
-            b""
-            if number < len(self.all) and self.all[number].write(address, data)
-            else None
+    def _write(self, packet: ReceivedPacket) -> Packet:
+        number, address = _ADDRESS_LAYOUT.unpack_from(packet.buffer)
+        is_written = self._find(number).write(
+            address, packet.data[_ADDRESS_LAYOUT.size :]
         )
+        result = (
+            FIRMWARE_RESULTS.done if is_written else FIRMWARE_RESULTS.input_output_error
+        )
+        return Packet(
+            CrtpPort.MEMORY,
+            MEMORY_PACKETS.write,
+            packet.buffer[: _ADDRESS_LAYOUT.size] + bytes([result]),
+        )
+
+    def _find(self, number: int) -> DroneMemory:
+        """Return the memory with this number. Raises FirmwareAssertion if there is none."""
+        if number >= len(self.all):
+            raise FirmwareAssertion(
+                f"memory {number}; there are {len(self.all)}, from 0."
+            )
+        return self.all[number]

@@ -19,7 +19,11 @@ from crazychoir.firmware.release import (
 )
 from crazychoir.mocap.frames import FRAME_PROTOCOL
 from crazychoir.platforms import Platform, find_platform
-from crazychoir.radio.virtual.drone import MODELLED_DRONE, device_type_of
+from crazychoir.radio.virtual.drone import (
+    MODELLED_DRONE,
+    DroneIdentity,
+    device_name_of,
+)
 from crazychoir.radio.virtual.toc import read_firmware_names
 from crazychoir.simulation.common.world import WorldSetup
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
@@ -62,8 +66,8 @@ class DroneSeat:
     """Decks that it carries."""
     release: str = DESCRIBED_RELEASE
     """Release of its firmware."""
-    device: str = "CF21"
-    """Type of the device."""
+    device: str = DroneIdentity.device
+    """Kind of drone, as its firmware tells it."""
 
 
 @dataclass(frozen=True)
@@ -201,7 +205,7 @@ def _make_seats(
             (GRID_ADDRESSES.first_byte + drone.id) % 256,
             _default_decks(drone) if decks is None else tuple(decks),
             release,
-            device_type_of(find_platform(drone.platform)),
+            device_name_of(find_platform(drone.platform)),
         )
         for drone, at in places
     )

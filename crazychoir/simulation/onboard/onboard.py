@@ -74,10 +74,14 @@ class Onboard:
         self.law_name = ""
         _loop.settle(self.rows, self.row)
 
-    def restart(self) -> None:
-        """Restart the firmware: everything in it is reset, only the battery voltage stays."""
+    def restart(self, is_tested: bool = True) -> None:
+        """Restart the firmware: everything in it is reset, only the battery voltage stays.
+
+        is_tested: False if its self-test fails: then only its clock runs
+        """
         vbat = float(self.record["vbat"])
         self.rows[self.row : self.row + 1] = make_fleet(1, self.platform)
+        self.record["self_tested"] = is_tested
         self.record["vbat"] = self.record["vbat_low"] = vbat
         _loop.settle(self.rows, self.row)
 

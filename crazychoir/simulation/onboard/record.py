@@ -327,7 +327,7 @@ drone_fields = np.dtype(
         ("avoids", np.int64),  # colAv.enable: `avoided` is flown instead of `wanted`
         # supervisor
         *_integer_fields(
-            "state since armed auto_arm arm_requested turning flying tumbled estop info"
+            "self_tested state since armed auto_arm arm_requested turning flying tumbled estop info"
         ),
         *_integer_fields("upright_at not_upside_at watchdog watchdog_at stopping_at"),
         *_integer_fields(
@@ -631,6 +631,7 @@ def make_fleet(n: int, platform: Platform) -> Fleet:
         rows[name] = value
     if firmware.needs_arming:
         rows["thrust_base"] = 30000.0
+    rows["self_tested"] = 1
     rows["auto_arm"] = not firmware.needs_arming
     rows["thrust_max"] = firmware.thrust_max
     rows["thrust_min"] = firmware.thrust_min

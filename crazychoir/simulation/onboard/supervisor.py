@@ -239,8 +239,14 @@ def update(fw: Record) -> None:
 
 @kernel(rows, whole)
 def can_fly(fleet: Fleet, i: int) -> bool:
-    """Return True if the supervisor allows motors."""
-    return may_fly(fleet[i])
+    """Return True if the planner accepts plans: the supervisor allows motors.
+
+    The planner of a firmware with a self-test that has failed accepts plans too: nothing has
+    blocked it, and nothing will fly them.
+    """
+    fw = fleet[i]
+    can: bool = fw.self_tested == 0 or may_fly(fw)
+    return can
 
 
 @kernel(rows, whole)

@@ -175,10 +175,21 @@ def test_each_log_variable_of_a_broken_drone_is_sent():
 def test_the_console_splits_no_character():
     drone = Hangar().drone
     list(drone.pass_time())
-    drone.say("ä" * 40)
+    drone.console.say("ä" * 40)
     texts = [packet.data.decode() for packet in drone.pass_time()]
     assert "".join(texts) == "ä" * 40
     assert all(len(text.encode()) <= 30 for text in texts)
+
+
+def test_the_console_says_what_starts_and_each_line_ends_its_packet():
+    """The firmware: `SYS: Crazyflie 2.1 is up and running!`, then decks and the self-test."""
+    drone = Hangar(decks=("bcFlow2",)).drone
+    texts = [packet.data.decode() for packet in drone.pass_time()]
+    lines = "".join(texts).splitlines()
+    assert "SYS: Crazyflie 2.1 is up and running!" in lines
+    assert "DECK_CORE: 1 deck(s) found" in lines
+    assert lines[-1] == "SYS: Self test passed!"
+    assert all("\n" not in text[:-1] for text in texts)
 
 
 def test_log_blocks_are_forgotten_after_a_second_without_packets():

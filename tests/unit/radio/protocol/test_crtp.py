@@ -81,9 +81,9 @@ def test_a_value_that_does_not_fit_is_an_error():
         PACKET_FORMS["full_state"].packet(*[40000] * 13)
 
 
-@pytest.mark.parametrize("datagram", [b"", bytes(32)])
+@pytest.mark.parametrize("datagram", [b"", bytes(33)])
 def test_what_no_radio_carries_is_an_error(datagram):
-    with pytest.raises(CodecError, match=f"{len(datagram)} bytes; allowed: 1 to 31"):
+    with pytest.raises(CodecError, match=f"{len(datagram)} bytes; allowed: 1 to 32"):
         parse_packet(datagram)
 
 

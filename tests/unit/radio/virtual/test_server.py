@@ -402,7 +402,10 @@ def test_the_drones_of_a_swarm_stand_at_home_at_their_ports():
     }
     assert (seats[2].body, seats[3].body) == ("marker", "cf3")
     assert (seats[4].decks != (), seats[3].decks) == (True, ())
-    assert (seats[4].device, seats[3].device) == ("C21B", "CF21")
+    assert (seats[4].device, seats[3].device) == (
+        "Crazyflie 2.1 Brushless",
+        "Crazyflie 2.1",
+    )
     world = hall.world(0)
     assert np.allclose(world.state(2).p, (1, 0, 0))
     assert dict(dongle_groups(hall, None, None)) == {(2, 3): 200.0, (4,): None}

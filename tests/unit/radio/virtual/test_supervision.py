@@ -120,7 +120,7 @@ def test_the_watchdog_bites_a_second_after_it_was_fed_last_and_never_before_it_w
 
 def test_a_self_arming_drone_may_take_off_and_another_must_be_armed_first():
     assert Hangar().run(0.5).onboard.info & 0b1000
-    brushless = Hangar("cf21bl", device="C21B").run(0.5)
+    brushless = Hangar("cf21bl", device="Crazyflie 2.1 Brushless").run(0.5)
     (reply,) = brushless.send("take_off", 0, 0.5, 0.0, True, 1.0)
     assert reply.data[3] == 16
     assert (_bit(brushless, CAN_ARM), _bit(brushless, ARMED)) == (True, False)
