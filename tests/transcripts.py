@@ -110,27 +110,50 @@ PARAM = (
     ),
 )
 MEMORY = (
-    ("how many", "4c 01", ["4c 01 07"]),
+    ("how many without a deck", "4c 01", ["4c 01 04"]),
     (
-        "the first, an EEPROM of 8192 bytes",
+        "the first, an EEPROM of 8191 bytes",
         "4c 02 00",
-        ["4c 02 00 00 00 20 00 00" + " 00" * 8],
+        ["4c 02 00 00 ff 1f 00 00" + " 00" * 8],
     ),
     (
-        "the third, trajectories in 4096 bytes",
-        "4c 02 02",
-        ["4c 02 02 12 00 10 00 00" + " 00" * 8],
+        "the second, trajectories in 4096 bytes",
+        "4c 02 01",
+        ["4c 02 01 12 00 10 00 00" + " 00" * 8],
     ),
-    ("write 4 bytes at 8", "4e 02 08 00 00 00 01 02 03 04", ["4e 02 08 00 00 00 00"]),
-    ("read them", "4d 02 08 00 00 00 04", ["4d 02 08 00 00 00 00 01 02 03 04"]),
-    ("write across the end", "4e 02 fe 0f 00 00 01 02 03", ["4e 02 fe 0f 00 00 05"]),
-    ("read across the end", "4d 02 fe 0f 00 00 03", ["4d 02 fe 0f 00 00 05"]),
-    ("read too much across the end", "4d 02 fe 0f 00 00 19", ["4d 02 fe 0f 00 00 05"]),
+    (
+        "the third, the tester of 4096 bytes",
+        "4c 02 02",
+        ["4c 02 02 15 00 10 00 00" + " 00" * 8],
+    ),
+    (
+        "the last, five sections of decks, of 0x10000000 bytes",
+        "4c 02 03",
+        ["4c 02 03 19 00 00 00 50" + " 00" * 8],
+    ),
+    ("write 4 bytes at 8", "4e 01 08 00 00 00 01 02 03 04", ["4e 01 08 00 00 00 00"]),
+    ("read them", "4d 01 08 00 00 00 04", ["4d 01 08 00 00 00 00 01 02 03 04"]),
+    ("write across the end", "4e 01 fe 0f 00 00 01 02 03", ["4e 01 fe 0f 00 00 05"]),
+    ("read across the end", "4d 01 fe 0f 00 00 03", ["4d 01 fe 0f 00 00 05"]),
+    ("read too much across the end", "4d 01 fe 0f 00 00 19", ["4d 01 fe 0f 00 00 05"]),
+    (
+        "the last byte of the EEPROM",
+        "4d 00 fe 1f 00 00 01",
+        ["4d 00 fe 1f 00 00 00 00"],
+    ),
+    ("beyond it", "4d 00 fe 1f 00 00 02", ["4d 00 fe 1f 00 00 05"]),
     (
         "the tester's bytes are their addresses",
-        "4d 03 fe 00 00 00 03",
-        ["4d 03 fe 00 00 00 00 fe ff 00"],
+        "4d 02 fe 00 00 00 03",
+        ["4d 02 fe 00 00 00 00 fe ff 00"],
     ),
+    (
+        "the version of deck memories",
+        "4d 03 00 00 00 00 02",
+        ["4d 03 00 00 00 00 00 03 00"],
+    ),
+    ("no deck to read", "4d 03 00 00 00 10 01", ["4d 03 00 00 00 10 05"]),
+    ("none to write", "4e 03 00 00 00 00 01", ["4e 03 00 00 00 00 05"]),
 )
 SUPERVISOR = (
     (

@@ -61,3 +61,25 @@ class TrajectoryMemory(NamedTuple):
 
 
 TRAJECTORY_MEMORY = TrajectoryMemory()
+
+
+class MemorySizes(NamedTuple):
+    """Sizes of the memories in bytes, as the firmware tells them."""
+
+    eeprom: int = 0x1FFF
+    """Bytes of the EEPROM that are served: all but the last."""
+    leds: int = 24
+    """Bytes of the colours of twelve LEDs."""
+    lighthouse: int = 0x2000
+    """Bytes for geometries and calibrations."""
+    tester: int = 0x1000
+    """Bytes of the test of memories."""
+    timings: int = 2000
+    """Bytes of the timings of the LED ring."""
+    deck: int = 0x10000000
+    """Bytes of the section of each deck, and of the section before them with their properties."""
+    most_decks: int = 4
+    """Decks that have a section."""
+
+
+MEMORY_SIZES = MemorySizes()

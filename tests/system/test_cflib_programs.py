@@ -81,6 +81,8 @@ def ran():
         "virtual",
         "--drones",
         str(DRONES),
+        "--deck",
+        "bcFlow2,bcLighthouse4,bcMultiranger,bcLedRing",
         "--json",
     ]
     server = subprocess.Popen(

@@ -18,7 +18,7 @@ from crazychoir.radio.protocol.crtp import (
 from crazychoir.radio.virtual.console import FirmwareConsole
 from crazychoir.radio.virtual.flight import FlightService
 from crazychoir.radio.virtual.logs import LogService
-from crazychoir.radio.virtual.memories import MemoryService
+from crazychoir.radio.virtual.memories import LIGHTHOUSE_DECK, MemoryService
 from crazychoir.radio.virtual.parameter_effects import WriteEffects
 from crazychoir.radio.virtual.parameters import ParameterService
 from crazychoir.radio.virtual.power import PowerManagement
@@ -63,9 +63,9 @@ effect.
 class ModelledDrone:
     """The decks that are modelled."""
 
-    decks: tuple[str, ...] = ("bcFlow2", "bcLighthouse4", "bcMultiranger")
+    decks: tuple[str, ...] = ("bcFlow2", LIGHTHOUSE_DECK, "bcMultiranger")
     """Decks that a drone carries by default; the lighthouse deck gives it its position."""
-    position_deck: str = "bcLighthouse4"
+    position_deck: str = LIGHTHOUSE_DECK
     """Deck that gives a drone its position."""
     velocity_deck: str = "bcFlow2"
     """Deck that gives a drone its velocity."""
@@ -175,7 +175,7 @@ class VirtualCrazyflie:
         self.power = PowerManagement()
         self.console = FirmwareConsole(on)
         self._echoes: deque[tuple[int, Packet]] = deque()
-        self.memories = MemoryService(on, self.kept.memories, me.number)
+        self.memories = MemoryService(on, self.kept.memories, me.number, me.decks)
         self.parameters = ParameterService(on, tables.parameters, self.kept.parameters)
         for deck in me.decks:
             self.parameters.set(f"deck.{deck}", 1.0)

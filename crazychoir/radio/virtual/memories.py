@@ -1,10 +1,10 @@
 """Port 4: the memories of a virtual drone, read and written in pieces."""
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from typing import Protocol
 
-from crazychoir.firmware.memories import MEMORY_KINDS, MEMORY_PACKETS
+from crazychoir.firmware.memories import MEMORY_KINDS, MEMORY_PACKETS, MEMORY_SIZES
 from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.radio.virtual.receiver import FirmwareAssertion, ReceivedPacket
@@ -42,15 +42,12 @@ class StoredMemory:
 
     kind: type of the memory
     content: all its bytes, changed in place
-    size: bytes, as the client is told; None: the size of `content`
     """
 
-    def __init__(
-        self, kind: int, content: bytearray | memoryview, size: int | None = None
-    ) -> None:
+    def __init__(self, kind: int, content: bytearray | memoryview) -> None:
         self.kind = kind
         self.content = content
-        self.size = len(content) if size is None else size
+        self.size = len(content)
 
     def read(self, address: int, length: int) -> bytes | None:
         """Return bytes; None beyond the end."""
@@ -72,7 +69,7 @@ class MemoryTester:
     """The firmware's test of memories: each byte is the lowest byte of its address."""
 
     kind: int = MEMORY_KINDS.tester
-    size = 0x1000
+    size: int = MEMORY_SIZES.tester
 
     def __init__(self) -> None:
         self.errors = 0
@@ -93,6 +90,27 @@ class MemoryTester:
         return True
 
 
+class DeckMemory:
+    """The properties of decks: their version, and no deck with a memory of its own.
+
+    Source: crazyflie-firmware, deck_memory.c.
+    """
+
+    kind: int = MEMORY_KINDS.decks
+    size: int = MEMORY_SIZES.deck * (MEMORY_SIZES.most_decks + 1)
+
+    def read(self, address: int, length: int) -> bytes | None:
+        """Return properties; None in the section of a deck."""
+        if address >= MEMORY_SIZES.deck:
+            return None
+        start = bytes([DECK_MEMORY_VERSION])[address:]
+        return start[:length].ljust(length, b"\0")
+
+    def write(self, address: int, data: bytes) -> bool:
+        """Return False: properties are not written, and no deck has a memory."""
+        return False
+
+
 def make_eeprom(
     channel: int = 80, speed: int = 2, address: int = 0xE7E7E7E7E7
 ) -> bytearray:
@@ -103,47 +121,54 @@ def make_eeprom(
     image = b"0xBC" + struct.pack(
         "<BBBffBI", 1, channel, speed, 0.0, 0.0, address >> 32, address & 0xFFFFFFFF
     )
-    return bytearray((image + bytes([sum(image) % 256])).ljust(8192, b"\0"))
+    content = image + bytes([sum(image) % 256])
+    return bytearray(content.ljust(MEMORY_SIZES.eeprom, b"\0"))
+
+
+LED_DECK = "bcLedRing"
+"""Deck with the memories of LEDs and of their timings."""
+LIGHTHOUSE_DECK = "bcLighthouse4"
+"""Deck with the memory of geometries and calibrations."""
 
 
 class MemoryService:
-    """All memories of a drone, numbered by position.
+    """All memories of a drone, numbered by position: its own, then those of its decks.
 
-    A restart keeps the EEPROM and the memory of the lighthouse.
+    A restart keeps the EEPROM and the memory of the lighthouse. The sections of decks are last.
 
     onboard: model of the firmware
     kept: content that survives restarts, by type
     number: last byte of the drone's address
+    decks: names of its decks
     """
 
     def __init__(
         self,
         onboard: Onboard,
-        kept: dict[int, bytearray] | None = None,
-        number: int = 0xE7,
+        kept: dict[int, bytearray],
+        number: int,
+        decks: Container[str],
     ) -> None:
-        kept = {} if kept is None else kept
+        eeprom = make_eeprom(address=0xE7E7E7E700 | number)
         self.tester = MemoryTester()
-        trajectories = onboard.trajectories.memory.data
-        self.all: tuple[DroneMemory, ...] = (
+        self.all: list[DroneMemory] = [
             StoredMemory(
-                MEMORY_KINDS.eeprom,
-                kept.setdefault(
-                    MEMORY_KINDS.eeprom, make_eeprom(address=0xE7E7E7E700 | number)
-                ),
+                MEMORY_KINDS.eeprom, kept.setdefault(MEMORY_KINDS.eeprom, eeprom)
             ),
-            StoredMemory(MEMORY_KINDS.leds, bytearray(24)),
-            StoredMemory(MEMORY_KINDS.trajectory, trajectories),
+            StoredMemory(MEMORY_KINDS.trajectory, onboard.trajectories.memory.data),
             self.tester,
-            StoredMemory(
-                MEMORY_KINDS.lighthouse,
-                kept.setdefault(MEMORY_KINDS.lighthouse, bytearray(0x2000)),
-            ),
-            StoredMemory(MEMORY_KINDS.timings, bytearray(2000)),
-            StoredMemory(
-                MEMORY_KINDS.decks, bytearray([DECK_MEMORY_VERSION]) + bytearray(0x1FFF)
-            ),
-        )
+        ]
+        if LED_DECK in decks:
+            for kind, size in (
+                (MEMORY_KINDS.leds, MEMORY_SIZES.leds),
+                (MEMORY_KINDS.timings, MEMORY_SIZES.timings),
+            ):
+                self.all.append(StoredMemory(kind, bytearray(size)))
+        if LIGHTHOUSE_DECK in decks:
+            room = bytearray(MEMORY_SIZES.lighthouse)
+            content = kept.setdefault(MEMORY_KINDS.lighthouse, room)
+            self.all.append(StoredMemory(MEMORY_KINDS.lighthouse, content))
+        self.all.append(DeckMemory())
 
     def take(self, packet: ReceivedPacket) -> Iterator[Packet]:
         """Return the answers to a packet.

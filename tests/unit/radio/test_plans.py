@@ -87,7 +87,7 @@ def test_a_trajectory_written_piece_by_piece(name):
     rest, ahead = np.zeros(8), np.array([0.0, 0.0, 0.0, 0.0, 14.0, -33.6, 28.0, -8.0])
     raw = np.concatenate([rest, ahead, rest, rest, [1.0]]).astype("<f4").tobytes()
     for at in range(0, len(raw), 24):
-        head = bytes([2]) + (132 + at).to_bytes(4, "little")
+        head = bytes([1]) + (132 + at).to_bytes(4, "little")
         (reply,) = hangar.drone.take(
             Packet(CrtpPort.MEMORY, 2, head + raw[at : at + 24])
         )
@@ -114,7 +114,7 @@ def test_a_compressed_one_is_flown_at_its_own_pace_alone():
     list(
         hangar.drone.take(Packet(CrtpPort.MEMORY, 2, bytes(1) + bytes(4) + raw))
     )  # into the EEPROM: not flown
-    list(hangar.drone.take(Packet(CrtpPort.MEMORY, 2, b"\x02" + bytes(4) + raw)))
+    list(hangar.drone.take(Packet(CrtpPort.MEMORY, 2, b"\x01" + bytes(4) + raw)))
     hangar.send("define_trajectory", 1, 1, 1, 0, 1)
     for wrong in ((0, 1, 2.0), (1, 1, 1.0)):
         (reply,) = hangar.send("start_trajectory", 0, 1, 0, *wrong)

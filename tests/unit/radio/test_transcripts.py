@@ -181,6 +181,29 @@ def test_the_console_splits_no_character():
     assert all(len(text.encode()) <= 30 for text in texts)
 
 
+@pytest.mark.parametrize(
+    ("decks", "kinds"),
+    [
+        ((), [0x00, 0x12, 0x15, 0x19]),
+        (("bcFlow2", "bcMultiranger"), [0x00, 0x12, 0x15, 0x19]),
+        (("bcLighthouse4",), [0x00, 0x12, 0x15, 0x14, 0x19]),
+        (
+            ("bcLighthouse4", "bcLedRing"),
+            [0x00, 0x12, 0x15, 0x10, 0x17, 0x14, 0x19],
+        ),
+    ],
+)
+def test_a_deck_brings_its_memories(decks, kinds):
+    """The firmware without decks: EEPROM, trajectories, tester, sections of decks."""
+    drone = Hangar(decks=decks).drone
+    (count,) = drone.take(Packet(CrtpPort.MEMORY, 0, b"\x01"))
+    found = [
+        next(drone.take(Packet(CrtpPort.MEMORY, 0, bytes([2, number])))).data[2]
+        for number in range(count.data[1])
+    ]
+    assert found == kinds
+
+
 def test_the_console_says_what_starts_and_each_line_ends_its_packet():
     """The firmware: `SYS: Crazyflie 2.1 is up and running!`, then decks and the self-test."""
     drone = Hangar(decks=("bcFlow2",)).drone
