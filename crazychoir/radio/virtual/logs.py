@@ -5,6 +5,7 @@ import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import IntEnum
+from operator import itemgetter
 
 from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
@@ -142,19 +143,23 @@ class LogService:
             )
 
     def due(self, now: int) -> Iterator[Packet]:
-        """Return the packets that are due at this ms of uptime.
+        """Return the packets that are due up to this ms of uptime, in the order of their times.
 
-        A late block skips the times that it has missed.
+        A period may be shorter than a step of the world. Then several packets of a block come at
+        once, each with its own time, and all with the values of the last step.
         """
+        sent: list[tuple[int, int, LogBlock]] = []
         for number, block in self.blocks.items():
             if block.once:
                 block.once = False
-                yield self._data(number, block, now)
-            if block.period and now >= block.due:
-                block.due += ((now - block.due) // block.period + 1) * block.period
-                yield self._data(number, block, now)
+                sent.append((now, number, block))
+            while block.period and block.due <= now:
+                sent.append((block.due, number, block))
+                block.due += block.period
+        for time, number, block in sorted(sent, key=itemgetter(0)):
+            yield self._data(number, block, time)
 
-    def _data(self, number: int, block: LogBlock, now: int) -> Packet:
+    def _data(self, number: int, block: LogBlock, time: int) -> Packet:
         values = b"".join(
             pack_log_value(letter, self.read(name) if name else 0.0)
             for name, letter in block.variables
@@ -162,7 +167,7 @@ class LogService:
         return Packet(
             CrtpPort.LOG,
             LOG_VALUES_CHANNEL,
-            bytes([number]) + (now & 0xFFFFFF).to_bytes(3, "little") + values,
+            bytes([number]) + (time & 0xFFFFFF).to_bytes(3, "little") + values,
         )
 
     def _do(self, command: int, number: int, rest: bytes, now: int) -> int:

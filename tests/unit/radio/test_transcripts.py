@@ -134,6 +134,34 @@ def test_a_log_block_comes_by_the_drones_clock_and_once_if_it_has_no_period():
     assert len([packet for packet in hangar.said if packet.port == CrtpPort.LOG]) == 1
 
 
+@pytest.mark.parametrize(
+    ("period", "count"), [(1, 1000), (2, 500), (5, 200), (7, 142), (10, 100), (25, 40)]
+)
+def test_a_log_block_comes_as_often_as_its_period_says_also_below_10_ms(period, count):
+    """The firmware: 1000+, 509, 202, 144 packets a second at 1, 2, 5, 7 ms."""
+    hangar = Hangar().run(0.1)
+    list(hangar.drone.take(Packet(CrtpPort.LOG, 1, b"\x06\x05\x77\0\0")))
+    list(hangar.drone.take(Packet(CrtpPort.LOG, 1, bytes([8, 5, period, 0]))))
+    hangar.run(0.9)
+    list(hangar.drone.take(Packet(CrtpPort.LINK, 0)))
+    hangar.run(0.1)
+    data = [packet.data for packet in hangar.said if packet.port == CrtpPort.LOG]
+    times = [int.from_bytes(one[1:4], "little") for one in data]
+    assert len(times) == count
+    assert {b - a for a, b in pairwise(times)} == {period}
+
+
+def test_packets_of_several_log_blocks_come_in_the_order_of_their_times():
+    hangar = Hangar().run(0.1)
+    for number in (1, 2):
+        create = bytes([6, number, 0x77, 0, 0])
+        list(hangar.drone.take(Packet(CrtpPort.LOG, 1, create)))
+        list(hangar.drone.take(Packet(CrtpPort.LOG, 1, bytes([8, number, 2, 0]))))
+    hangar.run(0.1)
+    data = [packet.data for packet in hangar.said if packet.port == CrtpPort.LOG]
+    assert [one[0] for one in data[:4]] == [1, 2, 1, 2]
+
+
 def test_a_half_float_too_large_stays_at_the_end_of_its_range():
     assert pack_log_value("e", 1e9) == pack_log_value("e", 65504.0)
     assert pack_log_value("H", 70000.0) == b"\xff\xff"
