@@ -195,9 +195,29 @@ HIGH_LEVEL = (
     ("define a trajectory", "8c 06 01 01 00 00 00 00 00 01", ["8c 06 01 01 00"]),
     ("one of too high a number", "8c 06 63 01 00 00 00 00 00 01", ["8c 06 63 01 08"]),
     (
-        "start what is not defined",
+        "define one behind the memory",
+        "8c 06 02 01 00 00 10 00 00 01",
+        ["8c 06 02 01 00"],
+    ),
+    (
+        "define one that lies nowhere",
+        "8c 06 03 00 00 00 00 00 00 01",
+        ["8c 06 03 00 00"],
+    ),
+    (
+        "start what is not defined: nothing happens",
         "8c 0d 00 00 00 00 05 00 00 80 3f",
-        ["8c 0d 00 00 08"],
+        ["8c 0d 00 00 00"],
+    ),
+    (
+        "start a number that there is not",
+        "8c 0d 00 00 00 00 63 00 00 80 3f",
+        ["8c 0d 00 00 00"],
+    ),
+    (
+        "a take-off to no height, NaN",
+        "8c 07 00 00 00 c0 7f 00 00 00 00 01 00 00 80 3f",
+        ["8c 07 00 00 00"],
     ),
     ("no such command", "8c 63", ["8c 63 .. .. 08"]),
 )

@@ -63,6 +63,20 @@ class TrajectoryMemory(NamedTuple):
 TRAJECTORY_MEMORY = TrajectoryMemory()
 
 
+class TrajectoryKinds(NamedTuple):
+    """Where a trajectory lies, and how it is written."""
+
+    memory: int = 1
+    """Location: the memory for trajectories."""
+    polynomial: int = 0
+    """Type: pieces of degree 7."""
+    compressed: int = 1
+    """Type: Bezier curves in 16 bits."""
+
+
+TRAJECTORY_KINDS = TrajectoryKinds()
+
+
 class MemorySizes(NamedTuple):
     """Sizes of the memories in bytes, as the firmware tells them."""
 

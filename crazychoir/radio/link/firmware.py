@@ -11,7 +11,12 @@ from enum import IntEnum
 from functools import partial
 
 from crazychoir.errors import LinkFailed
-from crazychoir.firmware.memories import MEMORY_KINDS, MEMORY_PACKETS, TRAJECTORY_MEMORY
+from crazychoir.firmware.memories import (
+    MEMORY_KINDS,
+    MEMORY_PACKETS,
+    TRAJECTORY_KINDS,
+    TRAJECTORY_MEMORY,
+)
 from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.radio.link.connection import Connection
 from crazychoir.radio.link.pending_requests import REQUEST_RETRY_PERIOD
@@ -164,7 +169,13 @@ class ConnectedFirmware:
                     f"trajectory {slot}: its memory does not accept byte {start}",
                 )
         await self.plan(
-            PACKET_FORMS["define_trajectory"].packet(slot, 1, 0, offset, pieces)
+            PACKET_FORMS["define_trajectory"].packet(
+                slot,
+                TRAJECTORY_KINDS.memory,
+                TRAJECTORY_KINDS.polynomial,
+                offset,
+                pieces,
+            )
         )
 
     async def start(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.firmware.results import FIRMWARE_RESULTS
+from crazychoir.firmware.memories import TRAJECTORY_KINDS
 from crazychoir.radio.protocol.compressed import unpack_quaternion
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.units import convert_thrust_to_newtons
@@ -112,11 +112,12 @@ def _start_trajectory(
 def _define_trajectory(
     on: Onboard, slot: int, location: int, kind: int, offset: int, pieces: int
 ) -> int:
-    known = location == 1 and kind in (0, 1)
-    return (
-        on.trajectories.define_trajectory(slot, offset, pieces, kind == 1)
-        if known
-        else FIRMWARE_RESULTS.unknown_command
+    is_known = location == TRAJECTORY_KINDS.memory and kind in (
+        TRAJECTORY_KINDS.polynomial,
+        TRAJECTORY_KINDS.compressed,
+    )
+    return on.trajectories.define_trajectory(
+        slot, offset, pieces if is_known else 0, kind == TRAJECTORY_KINDS.compressed
     )
 
 

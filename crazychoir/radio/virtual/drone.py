@@ -349,6 +349,14 @@ class VirtualCrazyflie:
             self.flight.planned_at = None
             told = "plans, but a set-point holds control: send_notify_setpoint_stop ends it"
             log.warning("%s: %s", self.identity.name, told)
+        if self.flight.undefined is not None:
+            log.warning(
+                "%s: starts trajectory %d, which is not defined: "
+                "its firmware answers 0 and does nothing",
+                self.identity.name,
+                self.flight.undefined,
+            )
+            self.flight.undefined = None
         then, received, sent = self._counted
         if now - then >= 1000:
             seconds = 1e-3 * (now - then)

@@ -71,6 +71,8 @@ class SpecialForms:
         "start_trajectory",
     )
     """Commands by which the planner on board flies, unless a set-point has control."""
+    started: tuple[str, ...] = ("start_trajectory", "start_trajectory_legacy")
+    """Commands that start an uploaded trajectory."""
 
 
 SPECIAL_FORMS = SpecialForms()
@@ -127,6 +129,8 @@ class FlightService:
         """Last pose (7,) or position (3,) from outside."""
         self.planned_at: int | None = None
         """ms of the last plan that waits for the end of set-points; None without one."""
+        self.undefined: int | None = None
+        """Trajectory that was started and is not defined; None without one."""
 
     def take(self, packet: ReceivedPacket) -> Iterator[Packet]:
         """Do what a packet asks for; return the answers.
@@ -194,6 +198,11 @@ class FlightService:
             and not self._meant(values[0])
         ):
             return 0
+        if form.name in SPECIAL_FORMS.started:
+            slot = values[form.names.index("id")]
+            self.undefined = (
+                None if self.onboard.trajectories.is_defined(slot) else slot
+            )
         if form.name in SPECIAL_FORMS.planned:
             self.planned_at = int(self.onboard.record["tick"])
         if form.name in COMMAND_FUNCTIONS:

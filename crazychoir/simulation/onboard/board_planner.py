@@ -1,6 +1,5 @@
 """The planner on board one drone, in SI units, and its uploaded trajectories."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -44,12 +43,16 @@ class TrajectoryStore:
     def define_trajectory(
         self, slot: int, offset: int, pieces: int, compressed: bool = False
     ) -> int:
-        """Define a trajectory in the memory; return 8 if it does not fit.
+        """Define a trajectory in the memory; return 8 if there is no such slot.
+
+        A trajectory that does not lie in the memory is accepted too; a start of it does nothing.
 
         slot: number of the trajectory
         offset: bytes from the beginning of the memory, a multiple of 4 if not compressed
         pieces: count of its pieces
         """
+        if not 0 <= slot < TRAJECTORY_MEMORY.slot_count:
+            return FIRMWARE_RESULTS.unknown_command
         words = offset // 4
         placed = (
             offset < self.memory.size
@@ -57,18 +60,19 @@ class TrajectoryStore:
             else offset % 4 == 0
             and words + pieces * TRAJECTORY_MEMORY.piece_size <= TRAJECTORY_MEMORY.size
         )
-        if not (
-            0 <= slot < TRAJECTORY_MEMORY.slot_count
-            and pieces > 0
-            and offset >= 0
-            and placed
-        ):
-            return FIRMWARE_RESULTS.unknown_command
+        count = pieces if placed and offset >= 0 else 0
         plan = self._record["planner"]
-        plan["offset"][slot] = words
-        plan["pieces"][slot] = 0 if compressed else pieces
-        plan["packed"][slot] = (offset, pieces * compressed)
+        plan["offset"][slot] = words if count else 0
+        plan["pieces"][slot] = 0 if compressed else count
+        plan["packed"][slot] = (offset, count) if compressed else (0, 0)
         return FIRMWARE_RESULTS.done
+
+    def is_defined(self, slot: int) -> bool:
+        """Return whether a start of this slot flies a trajectory."""
+        plan = self._record["planner"]
+        return 0 <= slot < TRAJECTORY_MEMORY.slot_count and bool(
+            plan["pieces"][slot] or plan["packed"][slot][1]
+        )
 
     def unpack(self, slot: int, timescale: float, reverse: bool) -> int:
         """Expand a compressed trajectory so that it can be flown; return 0 if it is ready.
@@ -80,11 +84,11 @@ class TrajectoryStore:
         if not 0 <= slot < TRAJECTORY_MEMORY.slot_count or not plan["packed"][slot][1]:
             return FIRMWARE_RESULTS.done
         offset, segments = plan["packed"][slot].tolist()
+        if timescale != 1.0 or reverse:
+            return FIRMWARE_RESULTS.unknown_command
         pieces = bezier.expand_segments(
             self.memory[offset:], min(segments, EXPANDED_PIECES)
         )
-        if timescale != 1.0 or reverse or not len(pieces):
-            return FIRMWARE_RESULTS.unknown_command
         plan["offset"][slot] = TRAJECTORY_MEMORY.size
         plan["pieces"][slot] = len(pieces)
         self._rows["memory"][self._row][
@@ -153,8 +157,9 @@ class TrajectoryStore:
 class BoardPlanner:
     """Gives flights to the planner on board one drone.
 
-    A method returns the firmware's answer: 0 done, 1 refused in this state, 8 no such trajectory,
-    16 the supervisor does not allow flight.
+    A method returns the firmware's answer: 0 done, 1 refused in this state, 8 a compressed trajectory
+    that is not flown in this way, 16 the supervisor does not allow flight. Numbers that are not
+    finite are accepted, and disable the planner.
 
     rows: memory of all drones
     row: row of this drone
@@ -166,10 +171,8 @@ class BoardPlanner:
         self._row = row
         self._trajectories = trajectories
 
-    def _flight(self, *numbers: float) -> int:
+    def _flight(self) -> int:
         """Return the answer of FIRMWARE_RESULTS why a plan cannot begin; 0 if it can."""
-        if not math.isfinite(sum(numbers)):
-            return FIRMWARE_RESULTS.refused
         return (
             FIRMWARE_RESULTS.done
             if _supervisor.can_fly(self._rows, self._row)
@@ -188,7 +191,7 @@ class BoardPlanner:
         """
         t = -1.0 if duration is None else duration
         psi = 0.0 if yaw is None else yaw
-        refused = self._flight(height, t, psi)
+        refused = self._flight()
         keep = float(yaw is None)
         return refused or int(
             _planner.take_off(self._rows, self._row, height, t, psi, keep)
@@ -208,7 +211,7 @@ class BoardPlanner:
         """
         t = -1.0 if duration is None else duration
         psi = 0.0 if yaw is None else yaw
-        refused = self._flight(height, t, psi)
+        refused = self._flight()
         keep = float(yaw is None)
         return refused or int(
             _planner.land(self._rows, self._row, height, t, psi, keep)
@@ -232,7 +235,7 @@ class BoardPlanner:
         """
         x, y, z = p
         flags = float(relative), float(linear)
-        refused = self._flight(x, y, z, yaw, duration)
+        refused = self._flight()
         return refused or int(
             _planner.go_to(self._rows, self._row, x, y, z, yaw, duration, *flags)
         )
@@ -258,7 +261,7 @@ class BoardPlanner:
             it lies to the side
         clockwise: True to turn clockwise
         """
-        refused = self._flight(angle, r0, r1, climb, duration)
+        refused = self._flight()
         flags = float(sideways), float(clockwise)
         return refused or int(
             _planner.spiral(
@@ -280,9 +283,7 @@ class BoardPlanner:
         relative_yaw: True to turn a relative trajectory, about the origin of its coordinates, to
             the present heading
         """
-        refused = self._flight(timescale) or self._trajectories.unpack(
-            slot, timescale, reverse
-        )
+        refused = self._flight() or self._trajectories.unpack(slot, timescale, reverse)
         flags = float(relative), float(relative_yaw), float(reverse)
         return refused or int(
             _planner.start_trajectory(self._rows, self._row, slot, timescale, *flags)

@@ -7,6 +7,7 @@ not say otherwise. A positive pitch means nose up, except in full-state set-poin
 import math
 from typing import NamedTuple
 
+from crazychoir.firmware.planning import PLANNER_STATES
 from crazychoir.numerics.kernels import kernel, real, vector
 from crazychoir.numerics.math3d import clip
 from crazychoir.simulation.onboard.record import (
@@ -47,7 +48,6 @@ RPYT_REST_THRUST = 32767.0  # thrust command that holds the height in flightmode
 RPYT_DEGREES_PER_SPEED = 30.0  # deg a m/s in flightmode.poshold
 RPYT_THRUST_PER_METRE = 1000.0  # thrust commands a m in flightmode.posSet
 HALF_RIGHT_ANGLE_COSINE = math.sqrt(0.5)  # cosine and sine of 45 deg
-PLANNER_IDLE = 0  # state of the planner without a plan
 
 
 @kernel()
@@ -80,7 +80,7 @@ def take_control(fw: Record, priority: int) -> bool:
     fw.priority = priority
     fw.stamp = fw.tick
     if priority > SETPOINT_PRIORITIES.high_level:
-        fw.planner.state = PLANNER_IDLE
+        fw.planner.state = PLANNER_STATES.idle
     clear_setpoint(fw.wanted)
     return True
 

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from crazychoir.firmware.memories import TRAJECTORY_MEMORY
+from crazychoir.firmware.planning import PLANNER_STATES
 from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.numerics.kernels import kernel, real
 from crazychoir.numerics.math3d import (
@@ -36,20 +37,6 @@ from crazychoir.simulation.onboard.record import (
     whole,
 )
 from crazychoir.simulation.onboard.units import FIRMWARE_GRAVITY
-
-
-class PlannerStates(NamedTuple):
-    """States of the planner."""
-
-    idle: int = 0
-    """There is no plan."""
-    flying: int = 1
-    """A plan is being flown that does not end with a landing."""
-    landing: int = 2
-    """A landing is being flown; the planner is idle at its end."""
-
-
-PLANNER_STATES = PlannerStates()
 
 
 class PlanLimits(NamedTuple):
@@ -203,9 +190,10 @@ def sample_plan(fw: Record) -> bool:
 @kernel()
 def is_finished(fw: Record) -> bool:
     """Return True if no plan is being flown."""
-    ended: bool = fw.planner.state == PLANNER_STATES.idle or _read_uptime(
-        fw
-    ) - fw.planner.begin > _sum_durations(fw)
+    state = fw.planner.state
+    if state == PLANNER_STATES.idle or state == PLANNER_STATES.disabled:
+        return True
+    ended: bool = _read_uptime(fw) - fw.planner.begin > _sum_durations(fw)
     return ended
 
 
@@ -286,10 +274,14 @@ def take_state(fw: Record) -> None:
 def update(fw: Record) -> None:
     """Update the set-point at 100 Hz: the plan's, or the null set-point while the planner is idle.
 
-    Nothing is written while another source is in control.
+    Nothing is written while another source is in control, or while the planner is disabled: then
+    the last set-point grows old.
     """
     plan = fw.planner
     own = fw.priority <= SETPOINT_PRIORITIES.high_level
+    if plan.state == PLANNER_STATES.disabled:
+        take_state(fw)
+        return
     if plan.state == PLANNER_STATES.idle:
         take_state(fw)
         if own:
@@ -351,6 +343,16 @@ def _is_bounded(c: Single, timescale: Single) -> bool:
 
 
 @kernel()
+def _is_finite(piece: Single) -> bool:
+    """Return True if all coefficients and the duration of a piece are finite."""
+    total = 0.0
+    for n in range(TRAJECTORY_MEMORY.piece_size):
+        total += 0.0 * piece[n]  # 0, or NaN if the number is not finite
+    finite: bool = total == 0.0
+    return finite
+
+
+@kernel()
 def _start_plan(fw: Record, state: int) -> None:
     plan = fw.planner
     plan.state = state
@@ -364,8 +366,14 @@ def _start_plan(fw: Record, state: int) -> None:
 def _begin_plan(fw: Record, state: int, piece: Single) -> int:
     """Begin a plan of one piece.
 
-    Choice of this model: return 1 if no drone can follow it; the plan before then continues.
+    A piece that is not finite is accepted, and disables the planner: its set-points are no numbers
+    (crtp_commander_high_level.c).
+    Choice of this model: return 1 if no drone can follow a finite piece; the plan before then
+    continues.
     """
+    if not _is_finite(piece):
+        fw.planner.state = PLANNER_STATES.disabled
+        return FIRMWARE_RESULTS.done
     t = read_duration(piece)
     if not (
         (t == SINGLE_NUMBERS.zero or _is_flyable_duration(t))
@@ -453,7 +461,7 @@ def _begin_vertical_plan(
         SINGLE_NUMBERS.zero,
         SINGLE_NUMBERS.zero,
     )
-    piece[TRAJECTORY_MEMORY.piece_size - 1] = float32(max(t, 0.0))
+    piece[TRAJECTORY_MEMORY.piece_size - 1] = float32(t)
     return _begin_plan(fw, state, piece)
 
 
@@ -476,7 +484,7 @@ def take_off(
         fw,
         PLANNER_STATES.flying,
         height,
-        t if t >= 0.0 else abs(height - fw.planner.last[2]) / speed,
+        abs(height - fw.planner.last[2]) / speed if t < 0.0 else t,
         yaw,
         keep_yaw,
     )
@@ -503,7 +511,7 @@ def land(
         fw,
         PLANNER_STATES.landing,
         height,
-        t if t >= 0.0 else abs(height - fw.planner.last[2]) / speed,
+        abs(height - fw.planner.last[2]) / speed if t < 0.0 else t,
         yaw,
         keep_yaw,
     )
@@ -554,7 +562,7 @@ def go_to(
                 out[POLYNOMIAL_LAYOUT.velocity + axis],
                 out[POLYNOMIAL_LAYOUT.acceleration + axis],
             )
-    piece[TRAJECTORY_MEMORY.piece_size - 1] = float32(max(t, 0.0))
+    piece[TRAJECTORY_MEMORY.piece_size - 1] = float32(t)
     return _begin_plan(fw, PLANNER_STATES.flying, piece)
 
 
@@ -635,6 +643,15 @@ def spiral(
 
 
 @kernel()
+def _is_finite_slot(fw: Record, k: int) -> bool:
+    """Return True if all numbers of the pieces of slot k are finite."""
+    finite = True
+    for n in range(fw.planner.pieces[k]):
+        finite = finite and _is_finite(_read_memory_piece(fw, k, n))
+    return finite
+
+
+@kernel()
 def _is_flyable_slot(fw: Record, k: int, timescale: Single) -> bool:
     """Return True if a drone can follow the pieces of slot k at this time scale.
 
@@ -663,8 +680,10 @@ def start_trajectory(
     relative_yaw: float,
     backwards: float,
 ) -> int:
-    """Fly an uploaded trajectory; return an answer of FIRMWARE_RESULTS, 8 if there is none.
+    """Fly an uploaded trajectory; return an answer of FIRMWARE_RESULTS.
 
+    The firmware answers 0 also if there is no such trajectory, and then does nothing. A trajectory
+    with a number that is not finite, or a timescale that is not or is 0, disables the planner.
     Choice of this model: it returns 1 if no drone can follow the trajectory.
     slot: number of the trajectory
     timescale: factor on the duration; 2 takes twice the time
@@ -676,14 +695,12 @@ def start_trajectory(
     fw = fleet[i]
     plan = fw.planner
     k = int(slot)
-    if (
-        k < 0
-        or k >= TRAJECTORY_MEMORY.slot_count
-        or plan.pieces[k] == 0
-        or not timescale > 0.0
-    ):
-        return FIRMWARE_RESULTS.unknown_command
-    if not _is_flyable_slot(fw, k, float32(timescale)):
+    if k < 0 or k >= TRAJECTORY_MEMORY.slot_count or plan.pieces[k] == 0:
+        return FIRMWARE_RESULTS.done
+    if not (_is_finite_slot(fw, k) and math.isfinite(timescale) and timescale != 0.0):
+        plan.state = PLANNER_STATES.disabled
+        return FIRMWARE_RESULTS.done
+    if timescale < 0.0 or not _is_flyable_slot(fw, k, float32(timescale)):
         return FIRMWARE_RESULTS.refused
     _evaluate_present_point(fw)
     here = plan.out[0:4].copy()

@@ -3,11 +3,12 @@
 import math
 from typing import NamedTuple
 
+from crazychoir.firmware.planning import PLANNER_STATES
 from crazychoir.firmware.supervision import SUPERVISOR_BITS, SUPERVISOR_STATES
 from crazychoir.firmware.timeouts import FIRMWARE_TIMEOUTS
 from crazychoir.numerics.kernels import kernel
 from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES
-from crazychoir.simulation.onboard.planner import PLANNER_STATES, is_finished
+from crazychoir.simulation.onboard.planner import is_finished
 from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
 
 
@@ -188,7 +189,7 @@ def may_arm(fw: Record) -> bool:
 def _write_information(fw: Record) -> None:
     """Write whether the drone flies, and the bits of supervisor.info.
 
-    The bits plan_disabled and deck_fault are never set.
+    The bit deck_fault is never set.
     """
     is_flying = fw.state in (SUPERVISOR_STATES.flying, SUPERVISOR_STATES.level_out)
     fw.flying = 1 if is_flying else 0
@@ -209,11 +210,11 @@ def _write_information(fw: Record) -> None:
         word |= SUPERVISOR_BITS.locked
     if fw.state == SUPERVISOR_STATES.crashed:
         word |= SUPERVISOR_BITS.crashed
-    if (
-        fw.priority == SETPOINT_PRIORITIES.high_level
-        and fw.planner.state != PLANNER_STATES.idle
-    ):
+    plan = fw.planner.state
+    if plan == PLANNER_STATES.flying or plan == PLANNER_STATES.landing:
         word |= SUPERVISOR_BITS.planned
+    if plan == PLANNER_STATES.disabled:
+        word |= SUPERVISOR_BITS.plan_disabled
     if is_finished(fw):
         word |= SUPERVISOR_BITS.plan_ended
     fw.info = word

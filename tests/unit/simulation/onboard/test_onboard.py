@@ -127,7 +127,7 @@ def test_drones_of_one_array_do_not_know_of_each_other():
     assert [bool(np.any(d.record["motors"])) for d in drones] == [False, True, False]
     assert [d.get("pid_rate.roll_kp") for d in drones] == [250, 250, 7]
     drones[0].trajectories.upload(0, np.ones((1, 33)))
-    assert drones[1].planner.start_trajectory(0) == 8
+    assert not drones[1].trajectories.is_defined(0)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
+from crazychoir.firmware.planning import PLANNER_STATES
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.platforms import CRAZYFLIE_21
 from crazychoir.simulation.onboard import loop
 from crazychoir.simulation.onboard.onboard import Onboard
@@ -274,11 +276,11 @@ def test_relative_yaw_counts_for_relative_trajectories_alone(onboard):
 
 
 def test_slots_memory_and_their_codes(onboard):
-    assert onboard.planner.start_trajectory(5) == 8
+    assert onboard.planner.start_trajectory(5) == 0
+    assert onboard.record["planner"]["state"] == PLANNER_STATES.idle
     onboard.trajectories.upload(0, RAMP)
     onboard.trajectories.upload(1, RAMP)
     assert onboard.record["planner"]["offset"][1] == 66
-    assert onboard.planner.start_trajectory(1, timescale=0.0) == 8
     onboard.trajectories.memory[0:132] = np.frombuffer(
         RAMP[1].astype(np.float32).tobytes(), np.uint8
     )
@@ -286,8 +288,72 @@ def test_slots_memory_and_their_codes(onboard):
     assert onboard.planner.start_trajectory(30) == 0
     run(onboard, 20)
     assert target(onboard)[0] == pytest.approx(1.505, abs=0.01)
-    wrong = ((31, 0, 1), (0, 2, 1), (0, 0, 32), (0, 4000, 1), (0, 0, 0))
-    assert [onboard.trajectories.define_trajectory(*bad) for bad in wrong] == [8] * 5
+    assert onboard.trajectories.define_trajectory(31, 0, 1) == 8
+
+
+@pytest.mark.parametrize("where", [(2, 1), (0, 32), (4000, 1), (0, 0)])
+def test_a_trajectory_outside_of_the_memory_is_accepted_and_never_flown(onboard, where):
+    """The firmware answers 0 to both (crtp_commander_high_level.c)."""
+    before = target(risen(onboard))
+    assert onboard.trajectories.define_trajectory(0, *where) == 0
+    assert onboard.planner.start_trajectory(0) == 0
+    still_flown(onboard, before)
+
+
+@pytest.mark.parametrize(
+    "begin",
+    [
+        lambda planner: planner.go_to((math.nan, 0.0, 1.0), 0.5, 2.0),
+        lambda planner: planner.go_to((3e38, 0.0, 1.0), 0.5, 2.0),
+        lambda planner: planner.go_to((1e300, 0.0, 1.0), 0.5, 0.0),
+        lambda planner: planner.go_to((0.0, 0.0, 1.0), 0.5, math.nan),
+        lambda planner: planner.go_to((0.0, 0.0, 1.0), 0.5, 1e30),
+        lambda planner: planner.land(math.nan, 1.0),
+        lambda planner: planner.land(0.0, math.inf),
+        lambda planner: planner.spiral(math.nan, 0.5, 0.5, 0.0, 2.0),
+        lambda planner: planner.start_trajectory(0, math.nan),
+        lambda planner: planner.start_trajectory(0, 0.0),
+    ],
+)
+def test_numbers_that_are_not_finite_are_accepted_and_disable_the_planner(
+    onboard, begin
+):
+    """The firmware: answer 0; its set-points end, it levels out and is locked."""
+    onboard.trajectories.upload(0, RAMP)
+    assert begin(risen(onboard).planner) == 0
+    assert onboard.record["planner"]["state"] == PLANNER_STATES.disabled
+    run(onboard, 700)
+    assert onboard.state == "warning: level out"
+    assert onboard.info & SUPERVISOR_BITS.plan_disabled
+    run(onboard, 1500)
+    assert onboard.state == "locked"
+
+
+@pytest.mark.parametrize(
+    ("axes", "duration"),
+    [
+        ({0: [1.0, math.nan]}, 1.0),
+        ({1: [1.0, math.inf]}, 1.0),
+        ({0: [1.0, 1.0]}, math.nan),
+        ({0: [1.0, 1.0]}, math.inf),
+    ],
+)
+def test_a_trajectory_with_a_number_that_is_not_finite_disables_the_planner(
+    onboard, axes, duration
+):
+    words = pieces((axes, duration)).astype(np.float32)
+    onboard.trajectories.memory[0:132] = np.frombuffer(words.tobytes(), np.uint8)
+    assert onboard.trajectories.define_trajectory(0, 0, 1) == 0
+    assert risen(onboard).planner.start_trajectory(0) == 0
+    assert onboard.record["planner"]["state"] == PLANNER_STATES.disabled
+
+
+def test_a_take_off_without_a_height_disables_the_planner_until_it_is_stopped(onboard):
+    """The firmware: 0, then 1 for each take-off."""
+    assert onboard.planner.take_off(math.nan, 1.0) == 0
+    assert onboard.planner.take_off(1.0, 1.0) == 1
+    onboard.planner.stop()
+    assert onboard.planner.take_off(1.0, 1.0) == 0
 
 
 @pytest.mark.parametrize(
@@ -371,7 +437,7 @@ def test_a_negative_radius_is_none(onboard):
     assert target(onboard)[:2] == pytest.approx(PLACE[:2], abs=1e-4)
 
 
-LONG, SHORT = (2e5, 1e30, 1e300), (1e-16, 1e-7, 5e-4)
+LONG, SHORT = (2e5, 1e7), (1e-16, 1e-7, 5e-4)
 
 
 def still_flown(onboard, before):
@@ -409,7 +475,7 @@ def test_a_plan_of_no_duration_is_at_its_end_at_once(onboard, duration):
     assert onboard.record["planner"]["state"] == 0
 
 
-@pytest.mark.parametrize("far", [1e18, 3e38, 1e300])
+@pytest.mark.parametrize("far", [1e18, 1e20])
 def test_a_plan_beyond_all_bounds_is_refused(onboard, far):
     before = target(risen(onboard))
     assert onboard.planner.go_to((far, 0.0, 1.0), 0.5, 2.0) == 1
@@ -422,11 +488,7 @@ def test_a_plan_beyond_all_bounds_is_refused(onboard, far):
 @pytest.mark.parametrize(
     ("axes", "duration", "timescale"),
     [
-        ({0: [1.0, math.nan]}, 1.0, 1.0),
-        ({1: [1.0, math.inf]}, 1.0, 1.0),
         ({2: [1e30]}, 1.0, 1.0),
-        ({0: [1.0, 1.0]}, math.nan, 1.0),
-        ({0: [1.0, 1.0]}, math.inf, 1.0),
         ({0: [1.0, 1.0]}, -1.0, 1.0),
         ({0: [1.0, 1.0]}, 1e30, 1e-28),
         ({0: [1.0, 1.0]}, 1.0, 1e-30),
