@@ -262,7 +262,7 @@ class FlightService:
     def arm(self, wanted: bool) -> bytes:
         """Arm or disarm; return whether this was done, and whether the drone is armed now."""
         done = not (wanted and self.refuses) and self.onboard.arm(wanted)
-        return bytes([done, bool(self.onboard.record["armed"] or (done and wanted))])
+        return bytes([done, bool(self.onboard.record["armed"])])
 
     def recover(self) -> bytes:
         """Recover from a crash.

@@ -64,7 +64,7 @@ class MotorCtrl(ABC):
         """Give the firmware a command of this kind; return False if it is refused."""
 
     def cut(self) -> None:
-        """Stop the motors for good."""
+        """Stop the motors for good, within 40 ms."""
         self.onboard.emergency_stop()
 
 
@@ -126,11 +126,13 @@ class MotorCtrlXYZ(MotorCtrl):
     """The planner on board: take-off, go_to, landing, stop."""
 
     def send(self, command: XYZ) -> bool:
-        """Start the plan; return False if the firmware refuses.
+        """Start the plan; return False if the firmware refuses, or a number is not finite.
 
         The planner takes over from streamed set-points. A duration of 0 means the take-off and
         landing speeds of the firmware.
         """
+        if not np.all(np.isfinite(command.flat)):
+            return False
         onboard = self.onboard
         x, y, z, yaw, duration = command.flat.tolist()
         if onboard.record["priority"] > SETPOINT_PRIORITIES.high_level:

@@ -82,6 +82,8 @@ class Onboard:
         vbat = float(self.record["vbat"])
         self.rows[self.row : self.row + 1] = make_fleet(1, self.platform)
         self.record["self_tested"] = is_tested
+        if not is_tested:
+            self.record["az"] = 0.0
         self.record["vbat"] = self.record["vbat_low"] = vbat
         _loop.settle(self.rows, self.row)
 
@@ -148,18 +150,17 @@ class Onboard:
     # The supervisor
 
     def arm(self, armed: bool = True) -> bool:
-        """Request armed motors, or disarm them, also in the air.
+        """Arm the motors, or disarm them, also in the air.
 
         Return False if the checks before flight do not allow it.
         """
         if armed:
             return bool(_supervisor.request_arming(self.rows, self.row))
-        self.record["arm_requested"] = 0
         self.record["armed"] = 0
         return True
 
     def emergency_stop(self) -> None:
-        """Stop the motors at once and for good."""
+        """Stop the motors for good, at the next pass of the supervisor, within 40 ms."""
         self.record["estop"] = 1
 
     def emergency_stop_watchdog(self) -> None:
@@ -167,7 +168,7 @@ class Onboard:
         _supervisor.feed_watchdog(self.rows, self.row)
 
     def recover(self) -> bool:
-        """Return to normal after a crash if the drone stands upright; return False if it cannot."""
+        """Forget a crash, so that the drone can be armed again; return False if it lies on its back."""
         return bool(_supervisor.recover(self.rows, self.row))
 
     @property

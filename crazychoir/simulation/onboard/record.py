@@ -327,9 +327,9 @@ drone_fields = np.dtype(
         ("avoids", np.int64),  # colAv.enable: `avoided` is flown instead of `wanted`
         # supervisor
         *_integer_fields(
-            "self_tested state since armed auto_arm arm_requested turning flying tumbled estop info"
+            "self_tested state since armed auto_arm turning flying tumbled crashed estop info"
         ),
-        *_integer_fields("upright_at not_upside_at watchdog watchdog_at stopping_at"),
+        *_integer_fields("tilted tilted_at watchdog watchdog_at stopping_at"),
         *_integer_fields(
             "preflight_timeout landed_timeout spinup_timeout tumble_check"
         ),

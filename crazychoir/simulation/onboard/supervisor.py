@@ -39,24 +39,22 @@ def _has_hit(fw: Record) -> bool:
 
 @kernel()
 def _see_tumbling(fw: Record) -> None:
-    """Detect tumbling: below 0.5 g along z for 1 s, below -0.2 g for 0.1 s, or a hit.
+    """Detect tumbling: below 0.5 g along z for 1 s, or for 0.1 s and then below -0.2 g, or a hit.
 
-    Free fall restarts both times, because it says nothing about the attitude.
+    Free fall restarts the time, because it says nothing about the attitude.
     """
-    if (
-        max(abs(fw.ax), max(abs(fw.ay), abs(fw.az)))
-        < SUPERVISOR_LIMITS.falling_acceleration
-    ):
-        fw.upright_at = fw.not_upside_at = fw.tick
-    if fw.az >= SUPERVISOR_LIMITS.upright_acceleration:
-        fw.upright_at = fw.tick
-    if fw.az >= SUPERVISOR_LIMITS.inverted_acceleration:
-        fw.not_upside_at = fw.tick
-    tilted = (
-        fw.tick - fw.upright_at > FIRMWARE_TIMEOUTS.tilted
-        or fw.tick - fw.not_upside_at > FIRMWARE_TIMEOUTS.inverted
+    strongest = max(abs(fw.ax), max(abs(fw.ay), abs(fw.az)))
+    is_falling = strongest < SUPERVISOR_LIMITS.falling_acceleration
+    is_upright = fw.az >= SUPERVISOR_LIMITS.upright_acceleration
+    if is_falling or is_upright or not fw.tilted:
+        fw.tilted_at = fw.tick
+    fw.tilted = 0 if is_upright else 1
+    tilted_for = fw.tick - fw.tilted_at
+    is_inverted = fw.az < SUPERVISOR_LIMITS.inverted_acceleration
+    has_tumbled = tilted_for > FIRMWARE_TIMEOUTS.tilted or (
+        is_inverted and tilted_for > FIRMWARE_TIMEOUTS.inverted
     )
-    fw.tumbled = 1 if fw.tumble_check and (tilted or _has_hit(fw)) else 0
+    fw.tumbled = 1 if fw.tumble_check and (has_tumbled or _has_hit(fw)) else 0
 
 
 @kernel()
@@ -69,73 +67,94 @@ def _see_motors(fw: Record) -> None:
 
 
 @kernel()
+def may_fly(fw: Record) -> bool:
+    """Return True if the supervisor allows motors."""
+    return fw.state in (
+        SUPERVISOR_STATES.ready,
+        SUPERVISOR_STATES.flying,
+        SUPERVISOR_STATES.landed,
+        SUPERVISOR_STATES.level_out,
+    )
+
+
+@kernel()
 def _enter(fw: Record, state: int) -> None:
+    """Enter a state; a drone that may not fly is disarmed, and has no plan."""
     fw.state = state
     fw.since = fw.tick
-    if state in (
-        SUPERVISOR_STATES.reset,
-        SUPERVISOR_STATES.checks_not_passed,
-        SUPERVISOR_STATES.locked,
-        SUPERVISOR_STATES.crashed,
-    ):
-        fw.armed = 0
-        fw.arm_requested = 0
-        fw.planner.state = (
-            PLANNER_STATES.idle
-        )  # a drone that may not fly has no plan either
+    if not may_fly(fw):
+        if fw.planner.state != PLANNER_STATES.disabled:
+            fw.planner.state = PLANNER_STATES.idle
+        if state != SUPERVISOR_STATES.arming:
+            fw.armed = 0
+    if state == SUPERVISOR_STATES.checks_passed and fw.auto_arm:
+        fw.armed = 1
+    if state == SUPERVISOR_STATES.crashed:
+        fw.crashed = 1
     if state == SUPERVISOR_STATES.free_fall:
         fw.priority = SETPOINT_PRIORITIES.no_sender
 
 
 @kernel()
 def _update_on_ground(fw: Record, waited: int) -> None:
-    if fw.state == SUPERVISOR_STATES.not_initialised:
-        _enter(fw, SUPERVISOR_STATES.checks_not_passed)
+    """Change a state from the start of the firmware to the take-off."""
+    if fw.estop:
+        _enter(fw, SUPERVISOR_STATES.free_fall)
     elif fw.state == SUPERVISOR_STATES.checks_not_passed:
         if not fw.tumbled:
             _enter(fw, SUPERVISOR_STATES.checks_passed)
     elif fw.tumbled:
         _enter(fw, SUPERVISOR_STATES.checks_not_passed)
     elif fw.state == SUPERVISOR_STATES.checks_passed:
-        if fw.arm_requested or fw.auto_arm:
+        if fw.armed or fw.auto_arm:
             fw.armed = 1
             _enter(fw, SUPERVISOR_STATES.arming)
-    elif fw.state == SUPERVISOR_STATES.arming:
-        _enter(
-            fw,
-            SUPERVISOR_STATES.ready
-            if fw.armed
-            else SUPERVISOR_STATES.checks_not_passed,
-        )
-    elif fw.turning and fw.armed:
-        _enter(fw, SUPERVISOR_STATES.flying)
-    elif not fw.armed or waited > fw.preflight_timeout:
+    elif not fw.armed:
         _enter(fw, SUPERVISOR_STATES.checks_not_passed)
+    elif fw.state == SUPERVISOR_STATES.arming:
+        _enter(fw, SUPERVISOR_STATES.ready)
+    elif waited > fw.preflight_timeout:
+        _enter(fw, SUPERVISOR_STATES.checks_not_passed)
+    elif fw.turning:
+        _enter(fw, SUPERVISOR_STATES.flying)
 
 
 @kernel()
-def _update_in_air(fw: Record, age: int) -> None:
-    if fw.tumbled:
+def _update_flying(fw: Record, age: int) -> None:
+    if age > FIRMWARE_TIMEOUTS.free_fall or fw.estop:
+        _enter(fw, SUPERVISOR_STATES.free_fall)
+    elif fw.tumbled:
         _enter(fw, SUPERVISOR_STATES.crashed)
     elif not fw.armed:
         _enter(fw, SUPERVISOR_STATES.reset)
-    elif age > FIRMWARE_TIMEOUTS.free_fall:
-        _enter(fw, SUPERVISOR_STATES.free_fall)
+    elif age > FIRMWARE_TIMEOUTS.level_out:
+        _enter(fw, SUPERVISOR_STATES.level_out)
     elif not fw.turning:
         _enter(fw, SUPERVISOR_STATES.landed)
-    elif age > FIRMWARE_TIMEOUTS.level_out:
-        if fw.state != SUPERVISOR_STATES.level_out:
-            _enter(fw, SUPERVISOR_STATES.level_out)
-    elif fw.state != SUPERVISOR_STATES.flying:
+
+
+@kernel()
+def _update_level_out(fw: Record, age: int) -> None:
+    if age > FIRMWARE_TIMEOUTS.free_fall or fw.tumbled or fw.estop:
+        _enter(fw, SUPERVISOR_STATES.free_fall)
+    elif age <= FIRMWARE_TIMEOUTS.level_out:
         _enter(fw, SUPERVISOR_STATES.flying)
 
 
 @kernel()
-def _update_after_landing(fw: Record, waited: int) -> None:
-    if fw.turning and fw.armed:
-        _enter(fw, SUPERVISOR_STATES.flying)
-    elif not fw.armed or waited >= fw.landed_timeout:
+def _update_landed(fw: Record, waited: int) -> None:
+    if not fw.armed or waited > fw.landed_timeout:
         _enter(fw, SUPERVISOR_STATES.reset)
+    elif fw.turning:
+        _enter(fw, SUPERVISOR_STATES.flying)
+
+
+@kernel()
+def _update_crashed(fw: Record) -> None:
+    if not fw.crashed and not fw.tumbled:
+        _enter(fw, SUPERVISOR_STATES.checks_not_passed)
+    elif fw.estop:
+        _enter(fw, SUPERVISOR_STATES.locked)
 
 
 @kernel()
@@ -143,32 +162,23 @@ def _update_state(fw: Record) -> None:
     """Make at most one change of state."""
     if fw.watchdog and fw.tick - fw.watchdog_at >= FIRMWARE_TIMEOUTS.watchdog:
         fw.estop = 1
+    state = fw.state
     waited = fw.tick - fw.since
-    if fw.state == SUPERVISOR_STATES.locked:
-        return
-    if fw.estop or fw.state == SUPERVISOR_STATES.free_fall:
-        _enter(fw, SUPERVISOR_STATES.locked)
-    elif fw.state <= SUPERVISOR_STATES.ready:
-        _update_on_ground(fw, waited)
-    elif (
-        fw.state == SUPERVISOR_STATES.flying or fw.state == SUPERVISOR_STATES.level_out
-    ):
-        _update_in_air(fw, fw.tick - fw.stamp)
-    elif fw.state == SUPERVISOR_STATES.landed:
-        _update_after_landing(fw, waited)
-    elif fw.state == SUPERVISOR_STATES.reset:
+    age = fw.tick - fw.stamp
+    if state == SUPERVISOR_STATES.not_initialised or state == SUPERVISOR_STATES.reset:
         _enter(fw, SUPERVISOR_STATES.checks_not_passed)
-
-
-@kernel()
-def may_fly(fw: Record) -> bool:
-    """Return True if the supervisor allows motors; an emergency stop counts at once."""
-    return not fw.estop and fw.state in (
-        SUPERVISOR_STATES.ready,
-        SUPERVISOR_STATES.flying,
-        SUPERVISOR_STATES.landed,
-        SUPERVISOR_STATES.level_out,
-    )
+    elif state <= SUPERVISOR_STATES.ready:
+        _update_on_ground(fw, waited)
+    elif state == SUPERVISOR_STATES.flying:
+        _update_flying(fw, age)
+    elif state == SUPERVISOR_STATES.level_out:
+        _update_level_out(fw, age)
+    elif state == SUPERVISOR_STATES.landed:
+        _update_landed(fw, waited)
+    elif state == SUPERVISOR_STATES.crashed:
+        _update_crashed(fw)
+    elif state == SUPERVISOR_STATES.free_fall:
+        _enter(fw, SUPERVISOR_STATES.locked)
 
 
 def name_flown_setpoint(fw: Record) -> str:
@@ -208,7 +218,7 @@ def _write_information(fw: Record) -> None:
         word |= SUPERVISOR_BITS.tumbled
     if fw.state == SUPERVISOR_STATES.locked:
         word |= SUPERVISOR_BITS.locked
-    if fw.state == SUPERVISOR_STATES.crashed:
+    if fw.crashed:
         word |= SUPERVISOR_BITS.crashed
     plan = fw.planner.state
     if plan == PLANNER_STATES.flying or plan == PLANNER_STATES.landing:
@@ -225,12 +235,12 @@ def update(fw: Record) -> None:
     """Update the supervisor, with at most one change of state. Call it at 25 Hz.
 
     Programs read what it has found until its next pass: `flying` and the bits of supervisor.info.
-    Choices of this model, which may differ from the firmware:
-    - A drone counts as landed when its motors have been at idle for 2 s, also while it levels out.
-    - After a landing, motors stay allowed for landed_timeout ms, for another take-off.
-    - Free fall lasts one pass. Then the drone is locked. Both states keep the motors off, and free
-      fall takes control from all sources of set-points.
+    An emergency stop too counts from the next pass on, within 40 ms. A landed drone is locked by it
+    when it has been disarmed, or takes off again.
+    Choices of this model:
+    - Free fall takes control from all sources of set-points.
     - Arming always succeeds at the next pass, because motor speeds are not checked.
+    Source: crazyflie-firmware, supervisor.c and supervisor_state_machine.c.
     """
     _see_tumbling(fw)
     _see_motors(fw)
@@ -252,11 +262,11 @@ def can_fly(fleet: Fleet, i: int) -> bool:
 
 @kernel(rows, whole)
 def request_arming(fleet: Fleet, i: int) -> bool:
-    """Request armed motors; return False if the checks before flight do not allow it."""
+    """Arm the motors; return False if the checks before flight do not allow it."""
     fw = fleet[i]
     if fw.armed == 0 and not may_arm(fw):
         return False
-    fw.arm_requested = 1
+    fw.armed = 1
     return True
 
 
@@ -269,22 +279,15 @@ def information(fleet: Fleet, i: int) -> int:
 
 @kernel(rows, whole)
 def recover(fleet: Fleet, i: int) -> bool:
-    """Reset a crashed drone that stands upright again.
+    """Forget a crash; return False if the drone lies on its back.
 
-    Return True also if nothing has crashed, False if the drone is locked.
+    Return True also if nothing has crashed, for example if the drone is locked.
     """
     fw = fleet[i]
-    if (
-        fw.state == SUPERVISOR_STATES.crashed
-        and not fw.tumbled
-        and fw.az >= SUPERVISOR_LIMITS.upright_acceleration
-    ):
-        _enter(fw, SUPERVISOR_STATES.reset)
-    recovered: bool = fw.state not in (
-        SUPERVISOR_STATES.crashed,
-        SUPERVISOR_STATES.locked,
-    )
-    return recovered
+    if fw.crashed and fw.tumbled:
+        return False
+    fw.crashed = 0
+    return True
 
 
 @kernel(rows, whole)

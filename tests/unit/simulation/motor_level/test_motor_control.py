@@ -37,7 +37,7 @@ def test_a_command_turns_the_motors_and_cut_stops_them_for_good(onboard, kind):
     assert link.send(COMMANDS[kind])
     assert run(onboard, 300)
     link.cut()
-    assert not run(onboard, 2)
+    assert not run(onboard, 41)  # the supervisor looks at 25 Hz
     link.send(COMMANDS[kind])
     assert not run(onboard, 300)
 
@@ -90,3 +90,9 @@ def test_a_level_full_state_asks_for_the_attitude_of_its_acceleration(onboard):
     assert [sp["qx"], sp["qy"], sp["qz"], sp["qw"]] == pytest.approx(
         [0, np.sin(np.pi / 8), 0, np.cos(np.pi / 8)]
     )
+
+
+def test_a_plan_with_a_number_that_is_not_finite_is_refused(onboard):
+    link = mc.MotorCtrlXYZ(onboard)
+    assert not link.send(XYZ("go_to", np.array([np.nan, 0.0, 1.0, 0.0, 1.0])))
+    assert link.send(XYZ("take_off", np.array([0.0, 0.0, 1.0, 0.0, 1.0])))

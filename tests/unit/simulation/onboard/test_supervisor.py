@@ -80,7 +80,7 @@ def test_set_points_age_level_out_free_fall_locked():
     assert not bench.turning
     assert bench.until("locked") <= 40
     bench.onboard.emergency_stop_watchdog()
-    assert not bench.onboard.recover()
+    assert bench.onboard.recover()  # it has not crashed
     bench.push()
     bench.run(5000)
     assert bench.onboard.state == "locked"
@@ -95,7 +95,7 @@ def test_a_drone_flies_in_two_states_alone_not_while_its_motors_may_still_turn()
     assert bench.onboard.log("sys.isFlying") == 1.0
     bench.onboard.emergency_stop()
     bench.run(40)
-    assert bench.onboard.state == "locked"
+    assert bench.onboard.state == "exception: free fall"
     assert not bench.onboard.info >> 4 & 1
     assert bench.onboard.log("sys.isFlying") == 0.0
 
@@ -224,6 +224,63 @@ def test_tumbling_crashes_a_flying_drone_and_recovery_needs_it_upright(z, after)
     bench.until("ready to fly")
 
 
+def test_a_crash_is_told_until_it_is_forgotten_upright():
+    """The firmware: bit 7 is the crash, not the state; recovery answers `82 01 01` without one."""
+    bench = Bench()
+    assert bench.onboard.recover()
+    bench.fly().until("crashed", send=bench.push, z=-0.5)
+    bench.run(200)
+    assert bench.onboard.state == "crashed"
+    assert bench.onboard.info >> 7 & 1
+    assert bench.onboard.recover()
+    assert bench.until("pre-flight checks not passed") <= 41
+    assert not bench.onboard.info >> 7 & 1
+
+
+def test_a_crashed_drone_can_be_locked():
+    bench = Bench().fly()
+    bench.until("crashed", send=bench.push, z=-0.5)
+    bench.onboard.emergency_stop()
+    assert bench.until("locked", z=-0.5) <= 41
+    assert bench.onboard.info >> 6 & 0b11 == 0b11
+    assert not bench.onboard.recover()
+
+
+def test_tumbling_while_it_levels_out_locks():
+    """The firmware: from level-out to free fall; from flight to crashed."""
+    bench = Bench().fly()
+    bench.until("warning: level out")
+    bench.until("exception: free fall", z=-0.5)
+    assert bench.until("locked", z=-0.5) <= 41
+
+
+def test_a_drone_that_levels_out_at_idle_does_not_land():
+    """The firmware: from level-out to flight or to free fall alone."""
+    bench = Bench().fly()
+    bench.onboard.setpoints.stop_setpoint()
+    bench.until("warning: level out")
+    bench.until("exception: free fall")
+
+
+def test_an_emergency_stop_of_a_landed_drone_locks_it_when_it_is_disarmed():
+    bench = Bench().fly()
+    bench.until("landed", send=bench.onboard.setpoints.stop_setpoint)
+    bench.onboard.emergency_stop()
+    bench.run(200)
+    assert bench.onboard.state == "landed"
+    bench.until("locked", send=bench.onboard.setpoints.stop_setpoint)
+
+
+def test_the_time_on_the_side_counts_for_the_time_on_the_back():
+    """The firmware has one clock for both: 0.1 s of tilt, then on its back at once."""
+    bench = Bench().fly()
+    for _ in range(5):
+        bench.push()
+        bench.run(100, z=0.3)
+    assert bench.onboard.state == "flying"
+    assert bench.until("crashed", send=bench.push, z=-1.0) < 100
+
+
 def test_free_fall_is_no_tumbling_and_the_check_can_be_switched_off():
     bench = Bench().fly()
     for _ in range(30):
@@ -237,11 +294,18 @@ def test_free_fall_is_no_tumbling_and_the_check_can_be_switched_off():
     assert bench.onboard.state == "flying"
 
 
-def test_an_emergency_stop_cuts_within_2_ms_for_good():
+def test_an_emergency_stop_cuts_within_40_ms_for_good():
+    """The firmware looks for it at 25 Hz, and then at each command for the planner."""
     bench = Bench().fly()
+    while bench.now % 40 != 1:
+        bench.run(1)
     bench.onboard.emergency_stop()
+    bench.run(39)
+    assert bench.turning
+    assert bench.onboard.planner.go_to((0, 0, 1), 0.0, 2.0) == 0
     bench.run(2)
     assert not bench.turning
+    assert bench.onboard.planner.go_to((0, 0, 1), 0.0, 2.0) == 16
     assert bench.until("locked") <= 40
     assert Bench(ready=True).fly().onboard.get("stabilizer.stop") == 0
 
@@ -249,6 +313,7 @@ def test_an_emergency_stop_cuts_within_2_ms_for_good():
 def test_stabilizer_stop_is_the_emergency_stop():
     bench = Bench().fly()
     bench.onboard.set("stabilizer.stop", 1)
+    assert bench.until("exception: free fall") <= 42
     assert bench.until("locked") <= 42
 
 
@@ -260,7 +325,7 @@ def test_the_watchdog_of_the_emergency_stop():
         bench.run(300)
     bench.onboard.emergency_stop_watchdog()
     fed = bench.now
-    bench.until("locked", send=bench.push)
+    bench.until("exception: free fall", send=bench.push)
     assert 1000 <= bench.now - fed <= 1041
 
 
@@ -277,6 +342,7 @@ def test_planner_commands_are_refused_where_it_may_not_fly():
     assert bench.onboard.planner.take_off(1.0, 2.0) == 16
     bench.run(200)
     bench.onboard.emergency_stop()
+    bench.run(50)
     assert bench.onboard.planner.go_to((0, 0, 1), 0.0, 2.0) == 16
 
 
