@@ -4,11 +4,12 @@ import contextlib
 from collections.abc import Callable
 
 from crazychoir.errors import Refused
+from crazychoir.firmware.requests import SUPERVISOR_REQUESTS
 from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio.link.connection import Connection
 from crazychoir.radio.link.firmware import ConnectedFirmware
 from crazychoir.radio.link.toc_cache import TableOfContents
-from crazychoir.radio.protocol.crtp import CrtpPort, Packet
+from crazychoir.radio.protocol.crtp import PACKET_FORMS, Packet
 from crazychoir.runtime.clock import Clock
 
 BOARD_LEDS: dict[str, float] = {"led.bitmask": 0xFF}
@@ -22,8 +23,10 @@ RING_LEDS: dict[str, float] = {
 """Parameters that light the LED ring deck, in one colour."""
 RING_DECK_PARAMETER = "deck.bcLedRing"
 """Parameter that is there if the drone has the LED ring deck."""
-STATE_REQUEST = Packet(CrtpPort.SUPERVISOR, 0, b"\x0c")
+STATE_REQUEST = PACKET_FORMS["supervisor_info"].packet()
 """Packet that asks the supervisor for its state."""
+STATE_ANSWER = bytes([SUPERVISOR_REQUESTS.answer | SUPERVISOR_REQUESTS.all_bits])
+"""First byte of its answer."""
 STATE_DEADLINE = 0.5
 """Seconds for the supervisor to answer whether the drone flies.
 
@@ -73,7 +76,7 @@ async def _require_rest(connection: Connection) -> None:
     """Raise Refused if the drone answers that it flies."""
 
     def answers(packet: Packet) -> bool:
-        return packet[:2] == STATE_REQUEST[:2] and packet.data[:1] == b"\x8c"
+        return packet[:2] == STATE_REQUEST[:2] and packet.data[:1] == STATE_ANSWER
 
     with contextlib.suppress(TimeoutError):
         answer = await connection.ask(STATE_REQUEST, answers, STATE_DEADLINE)

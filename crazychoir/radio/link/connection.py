@@ -16,6 +16,7 @@ from cflib.crtp.crtpstack import CRTPPacket
 
 from crazychoir.config.radio_checks import RADIO_TRAFFIC
 from crazychoir.errors import LinkFailed, error_text
+from crazychoir.firmware.requests import LINK_CHANNELS, LOG_CHANNELS
 from crazychoir.radio.link import drivers
 from crazychoir.radio.link.dongles import PROCESS_DONGLES, DongleFailed
 from crazychoir.radio.link.driver_link import DriverLink
@@ -23,14 +24,14 @@ from crazychoir.radio.link.log_blocks import LogBlocks, LogCallback
 from crazychoir.radio.link.loop_caller import LoopCaller, resolve_waiting
 from crazychoir.radio.link.pending_requests import REQUEST_RETRY_PERIOD, PendingRequests
 from crazychoir.radio.link.quiet_crazyflie import make_quiet_crazyflie
-from crazychoir.radio.link.round_trips import ECHO_CHANNEL, RoundTrips
+from crazychoir.radio.link.round_trips import RoundTrips
 from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.radio.link.writer import PacketWriter
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 
 log = logging.getLogger(__name__)
-VERSION_REQUEST = Packet(CrtpPort.LINK, 1, b"\x00")
+VERSION_REQUEST = Packet(CrtpPort.LINK, LINK_CHANNELS.source, b"\x00")
 """Packet that makes the drone tell its protocol version to cflib."""
 LEAST_VERSION = 0
 """Least protocol version; cflib gives a negative number before the drone has told its version."""
@@ -54,8 +55,6 @@ CONNECTION_REFUSED = "Connection refused"
 """Text of the operating system for a port without a listener."""
 AWAITING_LOG = "no word of itself"
 """Stage of an open connection that has not yet delivered a log."""
-LOG_DATA_CHANNEL = 2
-"""Channel of log data."""
 
 
 class Connection:
@@ -332,9 +331,9 @@ class Connection:
         self._heard_ns = self.clock.now_ns()
         port = packet.port
         channel = packet.channel
-        if port == CrtpPort.LINK and channel == ECHO_CHANNEL:
+        if port == CrtpPort.LINK and channel == LINK_CHANNELS.echo:
             self._trips.came(bytes(packet.data), self.clock.now())
-        elif not (port == CrtpPort.LOG and channel == LOG_DATA_CHANNEL):
+        elif not (port == CrtpPort.LOG and channel == LOG_CHANNELS.values):
             self._calls.call(
                 self._requests.take, Packet(port, channel, bytes(packet.data))
             )

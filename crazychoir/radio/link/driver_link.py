@@ -7,7 +7,8 @@ from cflib.crazyflie import Crazyflie
 from cflib.crtp.crtpstack import CRTPPacket
 
 from crazychoir.errors import LinkFailed
-from crazychoir.radio.link.round_trips import ECHO_CHANNEL, RoundTrips
+from crazychoir.firmware.requests import LINK_CHANNELS
+from crazychoir.radio.link.round_trips import RoundTrips
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.runtime.clock import Clock
 
@@ -40,7 +41,7 @@ class DriverLink:
         out.data = packet.data
         if (link := self._cf.link) is None:
             raise LinkFailed(self._uri, "its link is closed")
-        is_echo = packet[:2] == (CrtpPort.LINK, ECHO_CHANNEL)
+        is_echo = packet[:2] == (CrtpPort.LINK, LINK_CHANNELS.echo)
         if is_echo:
             # Note it before it can return.
             self._trips.left(packet, self._clock.now())

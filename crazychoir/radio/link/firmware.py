@@ -7,7 +7,6 @@ import difflib
 import math
 import struct
 from collections.abc import Callable, Mapping
-from enum import IntEnum
 from functools import partial
 
 from crazychoir.errors import LinkFailed
@@ -17,26 +16,19 @@ from crazychoir.firmware.memories import (
     TRAJECTORY_KINDS,
     TRAJECTORY_MEMORY,
 )
+from crazychoir.firmware.requests import (
+    PARAMETER_CHANNELS,
+    PLATFORM_REQUESTS,
+    SUPERVISOR_REQUESTS,
+)
 from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.radio.link.connection import Connection
 from crazychoir.radio.link.pending_requests import REQUEST_RETRY_PERIOD
 from crazychoir.radio.protocol.crtp import PACKET_FORMS, CrtpPort, Packet
 from crazychoir.radio.protocol.handlers import ALL_GROUPS
 
-
-class RequestChannel(IntEnum):
-    """Channels of requests for parameters and memories."""
-
-    LIST = 0
-    """The list of memories."""
-    READ = 1
-    """Reads parameters."""
-    WRITE = 2
-    """Writes parameters and memories."""
-
-
 COUNT_REQUEST = Packet(
-    CrtpPort.MEMORY, RequestChannel.LIST, bytes([MEMORY_PACKETS.count_command])
+    CrtpPort.MEMORY, MEMORY_PACKETS.information, bytes([MEMORY_PACKETS.count_command])
 )
 """Packet that asks for the number of memories."""
 REQUEST_DEADLINE = 2.0
@@ -54,9 +46,15 @@ class ConnectedFirmware:
 
     async def release(self) -> str:
         """Return the firmware's release tag, such as "2025.12"."""
-        asked = Packet(CrtpPort.PLATFORM, 1, b"\x01")
+        asked = Packet(
+            CrtpPort.PLATFORM,
+            PLATFORM_REQUESTS.version_channel,
+            bytes([PLATFORM_REQUESTS.release]),
+        )
         answer = await self._ask(
-            asked, lambda p: p[:2] == asked[:2] and p.data[:1] == b"\x01", "its release"
+            asked,
+            lambda p: p[:2] == asked[:2] and p.data[:1] == asked.data,
+            "its release",
         )
         return answer.data[1:].split(b"\0")[0].decode(errors="replace")
 
@@ -65,9 +63,9 @@ class ConnectedFirmware:
         element = self._parameter(name)
         ident = struct.pack("<H", element.ident)
         answer = await self._ask(
-            Packet(CrtpPort.PARAMETERS, RequestChannel.READ, ident),
+            Packet(CrtpPort.PARAMETERS, PARAMETER_CHANNELS.read, ident),
             lambda p: (
-                p[:2] == (CrtpPort.PARAMETERS, RequestChannel.READ)
+                p[:2] == (CrtpPort.PARAMETERS, PARAMETER_CHANNELS.read)
                 and p.data[:2] == ident
             ),
             f"parameter {name}",
@@ -101,7 +99,7 @@ class ConnectedFirmware:
             ) from error
         asked = Packet(
             CrtpPort.PARAMETERS,
-            RequestChannel.WRITE,
+            PARAMETER_CHANNELS.write,
             struct.pack("<H", element.ident) + said,
         )
         answer = await self._ask(
@@ -121,7 +119,7 @@ class ConnectedFirmware:
     async def arm(self, on: bool = True) -> None:
         """Arm the drone, or disarm it."""
         asked = PACKET_FORMS["arm"].packet(on)
-        head = bytes([0x80 | asked.data[0]])
+        head = bytes([SUPERVISOR_REQUESTS.answer | asked.data[0]])
         answer = await self._ask(
             asked, lambda p: p[:2] == asked[:2] and p.data[:1] == head, "arming"
         )
@@ -157,7 +155,7 @@ class ConnectedFirmware:
             head = struct.pack("<BI", where, offset + start)
             asked = Packet(
                 CrtpPort.MEMORY,
-                RequestChannel.WRITE,
+                MEMORY_PACKETS.write,
                 head + memory[start : start + MEMORY_PACKETS.largest_part],
             )
             answer = await self._ask(
@@ -209,7 +207,7 @@ class ConnectedFirmware:
         for number in range(count.data[1] if len(count.data) > 1 else 0):
             asked = Packet(
                 CrtpPort.MEMORY,
-                RequestChannel.LIST,
+                MEMORY_PACKETS.information,
                 bytes([MEMORY_PACKETS.description_command, number]),
             )
             answer = await self._ask(
@@ -308,7 +306,7 @@ def _is_write_answer(asked: Packet, packet: Packet) -> bool:
     an error; then only the written value counts.
     """
     if (
-        packet[:2] != (CrtpPort.PARAMETERS, RequestChannel.WRITE)
+        packet[:2] != (CrtpPort.PARAMETERS, PARAMETER_CHANNELS.write)
         or packet.data[:2] != asked.data[:2]
     ):
         return False
@@ -323,7 +321,7 @@ def _is_memory_description(asked: Packet, packet: Packet) -> bool:
 def _is_memory_write_answer(head: bytes, packet: Packet) -> bool:
     """Return whether a packet answers a write of a memory with this head."""
     return (
-        packet[:2] == (CrtpPort.MEMORY, RequestChannel.WRITE)
+        packet[:2] == (CrtpPort.MEMORY, MEMORY_PACKETS.write)
         and packet.data[:5] == head
     )
 

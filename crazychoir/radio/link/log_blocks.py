@@ -10,11 +10,12 @@ from cflib.crazyflie import Crazyflie
 from cflib.crazyflie.log import LogConfig
 
 from crazychoir.errors import LinkFailed
+from crazychoir.firmware.requests import LOG_CHANNELS, BlockCommand
 from crazychoir.radio.link.loop_caller import LoopCaller, resolve_waiting
 from crazychoir.radio.link.pending_requests import PendingRequests
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 
-RESET_LOGS = Packet(CrtpPort.LOG, 1, b"\x05")
+RESET_LOGS = Packet(CrtpPort.LOG, LOG_CHANNELS.settings, bytes([BlockCommand.RESET]))
 """Packet that makes the drone drop its log blocks."""
 
 LogCallback = Callable[[dict[str, float], int], None]

@@ -8,7 +8,7 @@ from cflib.crazyflie import Crazyflie
 from cflib.crazyflie.param import ParamTocElement
 from cflib.crazyflie.toc import TocFetcher
 
-from crazychoir.radio.link.round_trips import ECHO_CHANNEL
+from crazychoir.firmware.requests import LINK_CHANNELS
 from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.radio.protocol.crtp import CrtpPort
 
@@ -43,7 +43,7 @@ def _disable_echoes(cf: Crazyflie) -> None:
     latency = cf.link_statistics.latency
     latency.start = _do_nothing
     latency.stop = _do_nothing
-    cf.remove_header_callback(latency._ping_response, CrtpPort.LINK, ECHO_CHANNEL)
+    cf.remove_header_callback(latency._ping_response, CrtpPort.LINK, LINK_CHANNELS.echo)
 
 
 def _load_parameter_table(

@@ -7,10 +7,9 @@ from bisect import bisect_left, insort
 from collections import OrderedDict, deque
 from dataclasses import dataclass
 
+from crazychoir.firmware.requests import LINK_CHANNELS
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 
-ECHO_CHANNEL = 0
-"""Channel of the link port that returns each packet."""
 ECHO_FORMAT = struct.Struct("<Bd")
 """Format of cflib's own echoes: other listeners take ours for cflib's."""
 
@@ -46,7 +45,9 @@ class RoundTrips:
     def echo(self) -> Packet:
         """Return the next echo to send."""
         self._number += 1
-        return Packet(CrtpPort.LINK, ECHO_CHANNEL, ECHO_FORMAT.pack(0, self._number))
+        return Packet(
+            CrtpPort.LINK, LINK_CHANNELS.echo, ECHO_FORMAT.pack(0, self._number)
+        )
 
     def left(self, echo: Packet, now: float) -> None:
         """Note that an echo is being sent."""

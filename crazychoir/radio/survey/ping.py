@@ -14,8 +14,9 @@ import numpy as np
 
 from crazychoir.config.uris import parse_uri
 from crazychoir.errors import ConfigError
+from crazychoir.firmware.requests import LINK_CHANNELS
 from crazychoir.radio.link.dongles import PLUG_ADVICE
-from crazychoir.radio.link.round_trips import ECHO_CHANNEL, ECHO_FORMAT
+from crazychoir.radio.link.round_trips import ECHO_FORMAT
 from crazychoir.radio.protocol.crtp import CrtpPort
 
 
@@ -185,14 +186,14 @@ def _make_echo(number: int) -> Any:
     from cflib.crtp.crtpstack import CRTPPacket
 
     packet = CRTPPacket()
-    packet.set_header(CrtpPort.LINK, ECHO_CHANNEL)
+    packet.set_header(CrtpPort.LINK, LINK_CHANNELS.echo)
     packet.data = ECHO_FORMAT.pack(0, number)
     return packet
 
 
 def _comes_back(link: Any, number: int, now: Callable[[], float], until: float) -> bool:
     """Wait for this echo; return whether it came. Other packets, and late echoes, are ignored."""
-    expected = (CrtpPort.LINK, ECHO_CHANNEL, ECHO_FORMAT.pack(0, number))
+    expected = (CrtpPort.LINK, LINK_CHANNELS.echo, ECHO_FORMAT.pack(0, number))
     # cflib would not wait at all for 0 s, and would wait for ever for less.
     while (left := until - now()) > 0.0:
         packet = link.receive_packet(left)

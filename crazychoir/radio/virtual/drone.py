@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from crazychoir.firmware.release import DESCRIBED_RELEASE
+from crazychoir.firmware.requests import LINK_CHANNELS
 from crazychoir.firmware.timeouts import FIRMWARE_TIMEOUTS
 from crazychoir.platforms import Platform
 from crazychoir.radio.protocol.crtp import (
@@ -34,10 +35,6 @@ from crazychoir.simulation.onboard.logs import FIRMWARE_LOG_READERS
 from crazychoir.simulation.onboard.onboard import Onboard
 
 log = logging.getLogger(__name__)
-LINK_ECHO_CHANNEL = 0
-"""Channel of the link's port for echoes."""
-LINK_SOURCE_CHANNEL = 1
-"""Channel of the link's port that tells the source of a link. Packets of channel 2 are dropped."""
 SOURCE_ANSWER = b"Bitcraze Crazyflie".ljust(30, b"\0")
 """Answer to a request for the source of a link."""
 FLIGHT_PORTS = (
@@ -297,10 +294,10 @@ class VirtualCrazyflie:
             yield from self.parameters.take(packet)
         elif port == CrtpPort.MEMORY:
             yield from self.memories.take(received)
-        elif port == CrtpPort.LINK and packet.channel == LINK_ECHO_CHANNEL:
+        elif port == CrtpPort.LINK and packet.channel == LINK_CHANNELS.echo:
             yield from self._echo(packet)
-        elif port == CrtpPort.LINK and packet.channel == LINK_SOURCE_CHANNEL:
-            yield Packet(CrtpPort.LINK, LINK_SOURCE_CHANNEL, SOURCE_ANSWER)
+        elif port == CrtpPort.LINK and packet.channel == LINK_CHANNELS.source:
+            yield Packet(CrtpPort.LINK, LINK_CHANNELS.source, SOURCE_ANSWER)
         elif port != CrtpPort.LINK:
             self.flight.unknown += 1
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from crazychoir.errors import CodecError
 from crazychoir.firmware.release import PROTOCOL_VERSION
+from crazychoir.firmware.requests import PLATFORM_REQUESTS, SUPERVISOR_REQUESTS
 from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio.protocol.compressed import unpack_quaternion
@@ -43,8 +44,6 @@ class FormlessPackets:
     """Command of LOCALIZATION's channel 1: packed poses."""
     position_channel: int = 2
     """Channel of packed positions."""
-    notification: int = 3
-    """Command of the platform that shows the user a sign; its answer is empty."""
     located: tuple[int, ...] = (short_lpp, packed_pose)
     """Commands of LOCALIZATION's channel 1 that have no form."""
     receiver: bytes = b"\x03"
@@ -82,10 +81,6 @@ _PACKED_POSE_LAYOUT = struct.Struct("<BhhhI")
 """Layout of a packed pose."""
 _PACKED_POSITION_LAYOUT = struct.Struct("<Bhhh")
 """Layout of a packed position."""
-
-
-BITS_REQUEST = 12
-"""Request for all bits of the supervisor; a lower number asks for one of them."""
 
 
 class FlightService:
@@ -170,7 +165,9 @@ class FlightService:
             result = FIRMWARE_RESULTS.unknown_command if answer is None else answer
             yield Packet(port, channel, buffer[:3] + bytes([result]))
         elif answer is not None and port == CrtpPort.SUPERVISOR:
-            yield Packet(port, channel, bytes([0x80 | buffer[0]]) + answer)
+            yield Packet(
+                port, channel, bytes([SUPERVISOR_REQUESTS.answer | buffer[0]]) + answer
+            )
         elif answer is not None and port == CrtpPort.LOCALIZATION:
             yield Packet(port, channel, buffer[:1] + answer)
 
@@ -249,15 +246,19 @@ class FlightService:
     def _tell_supervision(self, data: bytes) -> Iterator[Packet]:
         """Return the supervisor's bits for request 12, and one of them for requests 1 to 11."""
         request = data[0] if data else 0
-        if not 1 <= request <= BITS_REQUEST:
+        if not 1 <= request <= SUPERVISOR_REQUESTS.all_bits:
             self.unknown += 1
             return
         answer = (
             self.info.to_bytes(2, "little")
-            if request == BITS_REQUEST
+            if request == SUPERVISOR_REQUESTS.all_bits
             else bytes([self.info >> request - 1 & 1])
         )
-        yield Packet(CrtpPort.SUPERVISOR, 0, bytes([0x80 | request]) + answer)
+        yield Packet(
+            CrtpPort.SUPERVISOR,
+            0,
+            bytes([SUPERVISOR_REQUESTS.answer | request]) + answer,
+        )
 
     def arm(self, wanted: bool) -> bytes:
         """Arm or disarm; return whether this was done, and whether the drone is armed now."""
@@ -276,10 +277,10 @@ class FlightService:
 
     def _platform(self, packet: ReceivedPacket) -> Iterator[Packet]:
         match packet.channel:
-            case 0:
+            case PLATFORM_REQUESTS.command_channel:
                 yield self._command_platform(packet)
-            case 1:
-                yield from self._version(packet.buffer[:1])
+            case PLATFORM_REQUESTS.version_channel:
+                yield from self._version(packet.buffer[0])
             case _:
                 # The channel of an application on board; this drone has none.
                 self.unknown += 1
@@ -287,21 +288,26 @@ class FlightService:
     def _command_platform(self, packet: ReceivedPacket) -> Packet:
         """Arm, recover or notify; other commands are sent back."""
         port, channel, data, buffer = packet
-        if buffer[0] == FORMLESS_PACKETS.notification:
+        if buffer[0] == PLATFORM_REQUESTS.notification:
             return Packet(port, channel)
         if (port, channel, buffer[0]) not in self._forms:
             return Packet(port, channel, data)
         return Packet(port, channel, buffer[:1] + self._obey(packet))
 
-    def _version(self, command: bytes) -> Iterator[Packet]:
+    def _version(self, request: int) -> Iterator[Packet]:
         """Answer a request for the protocol, the release or the kind of device."""
         answers = {
-            b"\x00": PROTOCOL_VERSION.to_bytes(4, "little"),
-            b"\x01": self.firmware.encode()[: CRTP_FORMAT.payload_size - 1],
-            b"\x02": self.device.encode()[: CRTP_FORMAT.payload_size - 1],
+            PLATFORM_REQUESTS.protocol: PROTOCOL_VERSION.to_bytes(4, "little"),
+            PLATFORM_REQUESTS.release: self.firmware.encode(),
+            PLATFORM_REQUESTS.device: self.device.encode(),
         }
-        if command in answers:
-            yield Packet(CrtpPort.PLATFORM, 1, command + answers[command])
+        if request in answers:
+            answer = bytes([request]) + answers[request]
+            yield Packet(
+                CrtpPort.PLATFORM,
+                PLATFORM_REQUESTS.version_channel,
+                answer[: CRTP_FORMAT.payload_size],
+            )
 
     # Poses from outside
 

@@ -4,9 +4,9 @@ import math
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from enum import IntEnum
 from operator import itemgetter
 
+from crazychoir.firmware.requests import LOG_CHANNELS, BlockCommand
 from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
 from crazychoir.radio.virtual.receiver import ReceivedPacket
@@ -18,33 +18,6 @@ from crazychoir.radio.virtual.toc import (
     TocEntry,
 )
 from crazychoir.simulation.onboard.logs import truncate_to_range
-
-LOG_TOC_CHANNEL = 0
-"""Channel of the table of log variables."""
-LOG_SETTINGS_CHANNEL = 1
-"""Channel of the commands of `BlockCommand`."""
-LOG_VALUES_CHANNEL = 2
-"""Channel on which the drone sends the values."""
-
-
-class BlockCommand(IntEnum):
-    """Commands for log blocks; 0 and 1 are those of an old version, which is not served."""
-
-    DELETE = 2
-    """Deletes a block."""
-    START = 3
-    """Starts a block, with a period in 10 ms."""
-    STOP = 4
-    """Stops a block."""
-    RESET = 5
-    """Deletes all blocks."""
-    CREATE = 6
-    """Creates a block."""
-    APPEND = 7
-    """Adds variables to a block."""
-    START_V2 = 8
-    """Starts a block, with a period in ms."""
-
 
 CHANGE_COMMANDS = (
     BlockCommand.DELETE,
@@ -130,16 +103,16 @@ class LogService:
 
     def take(self, packet: ReceivedPacket, now: int) -> Iterator[Packet]:
         """Return the answers to a packet; now: ms of uptime."""
-        if packet.channel == LOG_TOC_CHANNEL:
+        if packet.channel == LOG_CHANNELS.table:
             is_item = packet.buffer[0] == TocCommand.ITEM
             yield from self.toc.take(packet.buffer[: 3 if is_item else 1])
-        elif packet.channel == LOG_SETTINGS_CHANNEL:
+        elif packet.channel == LOG_CHANNELS.settings:
             command, number = packet.buffer[:2]
             lists_variables = command in (BlockCommand.CREATE, BlockCommand.APPEND)
             rest = packet.data[2:] if lists_variables else packet.buffer[2:]
             error = self._do(command, number, rest, now)
             yield Packet(
-                CrtpPort.LOG, LOG_SETTINGS_CHANNEL, bytes([command, number, error])
+                CrtpPort.LOG, LOG_CHANNELS.settings, bytes([command, number, error])
             )
 
     def due(self, now: int) -> Iterator[Packet]:
@@ -166,7 +139,7 @@ class LogService:
         )
         return Packet(
             CrtpPort.LOG,
-            LOG_VALUES_CHANNEL,
+            LOG_CHANNELS.values,
             bytes([number]) + (time & 0xFFFFFF).to_bytes(3, "little") + values,
         )
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from crazychoir.errors import CodecError, ConfigError
+from crazychoir.firmware.requests import LINK_CHANNELS
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet, parse_packet
 from crazychoir.radio.virtual.air import Air
 from crazychoir.radio.virtual.drone import VirtualCrazyflie
@@ -37,8 +38,6 @@ class SocketLimits:
 SOCKET_LIMITS = SocketLimits()
 
 
-NULL_CHANNEL = 3
-"""Channel of the link's port for empty packets."""
 Address = tuple[str, int]
 """Host and port."""
 
@@ -121,7 +120,7 @@ class DronePort:
     def _received(self, data: bytes, sender: Address) -> None:
         if data == SCAN_PROBE:
             if not self.air.faults.silent:
-                self._leave(Packet(CrtpPort.LINK, NULL_CHANNEL), sender)
+                self._leave(Packet(CrtpPort.LINK, LINK_CHANNELS.null), sender)
             return
         try:
             packet = parse_packet(data)

@@ -6,20 +6,22 @@ from types import SimpleNamespace
 import pytest
 
 from crazychoir.errors import LinkFailed
+from crazychoir.firmware.requests import PARAMETER_CHANNELS
 from crazychoir.radio.link.firmware import (
     ConnectedFirmware,
     CrtpPort,
-    RequestChannel,
     _is_write_answer,
 )
 from crazychoir.radio.protocol.crtp import Packet
 
 ONE, ZERO = (
-    Packet(CrtpPort.PARAMETERS, RequestChannel.WRITE, struct.pack("<HB", 7, value))
+    Packet(CrtpPort.PARAMETERS, PARAMETER_CHANNELS.write, struct.pack("<HB", 7, value))
     for value in (1, 0)
 )
-FLOAT = Packet(CrtpPort.PARAMETERS, RequestChannel.WRITE, struct.pack("<Hf", 7, 1.0))
-ERROR = Packet(CrtpPort.PARAMETERS, RequestChannel.WRITE, struct.pack("<HB", 7, 2))
+FLOAT = Packet(
+    CrtpPort.PARAMETERS, PARAMETER_CHANNELS.write, struct.pack("<Hf", 7, 1.0)
+)
+ERROR = Packet(CrtpPort.PARAMETERS, PARAMETER_CHANNELS.write, struct.pack("<HB", 7, 2))
 
 
 @pytest.mark.parametrize(
@@ -32,20 +34,24 @@ ERROR = Packet(CrtpPort.PARAMETERS, RequestChannel.WRITE, struct.pack("<HB", 7, 
         (
             FLOAT,
             Packet(
-                CrtpPort.PARAMETERS, RequestChannel.WRITE, struct.pack("<Hf", 7, 2.0)
+                CrtpPort.PARAMETERS,
+                PARAMETER_CHANNELS.write,
+                struct.pack("<Hf", 7, 2.0),
             ),
             False,
         ),
         (
             FLOAT,
             Packet(
-                CrtpPort.PARAMETERS, RequestChannel.WRITE, struct.pack("<Hf", 8, 1.0)
+                CrtpPort.PARAMETERS,
+                PARAMETER_CHANNELS.write,
+                struct.pack("<Hf", 8, 1.0),
             ),
             False,
         ),
         (
             FLOAT,
-            Packet(CrtpPort.PARAMETERS, RequestChannel.WRITE + 1, FLOAT.data),
+            Packet(CrtpPort.PARAMETERS, PARAMETER_CHANNELS.write + 1, FLOAT.data),
             False,
         ),
     ],
