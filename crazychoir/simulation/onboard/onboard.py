@@ -161,7 +161,7 @@ class Onboard:
 
     def emergency_stop(self) -> None:
         """Stop the motors for good, at the next pass of the supervisor, within 40 ms."""
-        self.record["estop"] = 1
+        self.record["emergency"] = 1
 
     def emergency_stop_watchdog(self) -> None:
         """Feed the watchdog; after the first call, 1 s without a call triggers an emergency stop."""

@@ -96,9 +96,18 @@ def _enter(fw: Record, state: int) -> None:
 
 
 @kernel()
+def _is_stopped(fw: Record) -> bool:
+    """Return True if a packet, the parameter stabilizer.stop or the watchdog stops the drone."""
+    starves: bool = (
+        fw.watchdog != 0 and fw.tick - fw.watchdog_at >= FIRMWARE_TIMEOUTS.watchdog
+    )
+    return starves or fw.emergency != 0 or fw.estop != 0
+
+
+@kernel()
 def _update_on_ground(fw: Record, waited: int) -> None:
     """Change a state from the start of the firmware to the take-off."""
-    if fw.estop:
+    if _is_stopped(fw):
         _enter(fw, SUPERVISOR_STATES.free_fall)
     elif fw.state == SUPERVISOR_STATES.checks_not_passed:
         if not fw.tumbled:
@@ -121,7 +130,7 @@ def _update_on_ground(fw: Record, waited: int) -> None:
 
 @kernel()
 def _update_flying(fw: Record, age: int) -> None:
-    if age > FIRMWARE_TIMEOUTS.free_fall or fw.estop:
+    if age > FIRMWARE_TIMEOUTS.free_fall or _is_stopped(fw):
         _enter(fw, SUPERVISOR_STATES.free_fall)
     elif fw.tumbled:
         _enter(fw, SUPERVISOR_STATES.crashed)
@@ -135,7 +144,7 @@ def _update_flying(fw: Record, age: int) -> None:
 
 @kernel()
 def _update_level_out(fw: Record, age: int) -> None:
-    if age > FIRMWARE_TIMEOUTS.free_fall or fw.tumbled or fw.estop:
+    if age > FIRMWARE_TIMEOUTS.free_fall or fw.tumbled or _is_stopped(fw):
         _enter(fw, SUPERVISOR_STATES.free_fall)
     elif age <= FIRMWARE_TIMEOUTS.level_out:
         _enter(fw, SUPERVISOR_STATES.flying)
@@ -153,15 +162,13 @@ def _update_landed(fw: Record, waited: int) -> None:
 def _update_crashed(fw: Record) -> None:
     if not fw.crashed and not fw.tumbled:
         _enter(fw, SUPERVISOR_STATES.checks_not_passed)
-    elif fw.estop:
+    elif _is_stopped(fw):
         _enter(fw, SUPERVISOR_STATES.locked)
 
 
 @kernel()
 def _update_state(fw: Record) -> None:
     """Make at most one change of state."""
-    if fw.watchdog and fw.tick - fw.watchdog_at >= FIRMWARE_TIMEOUTS.watchdog:
-        fw.estop = 1
     state = fw.state
     waited = fw.tick - fw.since
     age = fw.tick - fw.stamp

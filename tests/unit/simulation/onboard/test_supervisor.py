@@ -307,7 +307,16 @@ def test_an_emergency_stop_cuts_within_40_ms_for_good():
     assert not bench.turning
     assert bench.onboard.planner.go_to((0, 0, 1), 0.0, 2.0) == 16
     assert bench.until("locked") <= 40
-    assert Bench(ready=True).fly().onboard.get("stabilizer.stop") == 0
+    assert bench.onboard.get("stabilizer.stop") == 0
+
+
+def test_the_parameter_does_not_take_an_emergency_stop_back():
+    """The firmware: the packet and the parameter are two conditions."""
+    bench = Bench().fly()
+    bench.until("landed", send=bench.onboard.setpoints.stop_setpoint)
+    bench.onboard.emergency_stop()
+    bench.onboard.set("stabilizer.stop", 0)
+    bench.until("locked", send=bench.onboard.setpoints.stop_setpoint)
 
 
 def test_stabilizer_stop_is_the_emergency_stop():
