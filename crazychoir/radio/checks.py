@@ -23,9 +23,17 @@ def describe_harm(supervisor: int) -> str:
 
 
 def supervisor_problems(supervisor: int) -> list[str]:
-    """Return why the firmware does not let the drone fly."""
+    """Return why the firmware does not let the drone fly.
+
+    A supervisor that runs sets at least one bit. It does not run if the self-test has failed, for
+    example after a failed assertion.
+    """
     if text := describe_harm(supervisor):
         return [text]
+    if supervisor == 0:
+        return [
+            "its firmware does not run: switch it off and on (its self-test failed)"
+        ]
     if supervisor & SUPERVISOR_BITS.deck_fault:
         return ["a deck is faulty"]
     ready = (

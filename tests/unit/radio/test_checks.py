@@ -10,6 +10,7 @@ def test_the_supervisor() -> None:
     ready = SUPERVISOR_BITS.can_fly | SUPERVISOR_BITS.auto_arm
     assert checks.supervisor_problems(ready) == []
     assert checks.supervisor_problems(ready | SUPERVISOR_BITS.tumbled) == ["tumbled"]
+    assert "self-test failed" in checks.supervisor_problems(0)[0]
     assert "locked" in checks.supervisor_problems(SUPERVISOR_BITS.locked)[0]
     assert checks.supervisor_problems(0)
     assert checks.supervisor_problems(SUPERVISOR_BITS.auto_arm), (
