@@ -28,6 +28,8 @@ class FirmwareTimeouts(NamedTuple):
     """ms in which the motors of a drone that is being armed must turn, by default."""
     link_silence: int = 1000
     """ms without a packet after which the link counts as lost and the log blocks are dropped."""
+    link_statistics: int = 500
+    """ms over which the rates of packets are counted."""
     supervision: int = 40
     """ms between two passes of the supervisor."""
 

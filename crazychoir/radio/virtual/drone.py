@@ -172,17 +172,13 @@ class VirtualCrazyflie:
         self.power = PowerManagement()
         self.console = FirmwareConsole(on)
         self._echoes: deque[tuple[int, Packet]] = deque()
-        self.memories = MemoryService(on, self.kept.memories, me.number, me.decks)
+        self.memories = MemoryService(
+            on, self.kept.memories, me.number, me.decks, self._take_tester_reset
+        )
         self.parameters = ParameterService(on, tables.parameters, self.kept.parameters)
         for deck in me.decks:
             self.parameters.set(f"deck.{deck}", 1.0)
-        effects = WriteEffects(
-            on,
-            self.parameters,
-            self.memories.tester,
-            bool(failure),
-            self.console.say,
-        )
+        effects = WriteEffects(on, self.parameters, bool(failure), self.console.say)
         self.parameters.written = effects.apply
         self.flight = FlightService(
             on,
@@ -208,6 +204,12 @@ class VirtualCrazyflie:
         if name in self._readings:
             return self._readings[name]()
         return self.onboard.log(name) if name in FIRMWARE_LOG_READERS else 0.0
+
+    def _take_tester_reset(self) -> bool:
+        """Return whether memTst.resetW is set, and clear it."""
+        is_set = self.parameters.read("memTst.resetW") != 0.0
+        self.parameters.set("memTst.resetW", 0.0)
+        return is_set
 
     def restart(self, why: str = "") -> None:
         """Switch the drone off and on.
@@ -332,7 +334,7 @@ class VirtualCrazyflie:
         yield from self.logs.due(now)
 
     def _watch(self, now: int) -> None:
-        """Check the battery and the plans, and once a second the packet rates."""
+        """Check the battery and the plans, and twice a second the packet rates."""
         self.console.watch(now)
         read = self.parameters.read
         vbat = float(self.onboard.record["vbat"])
@@ -355,7 +357,7 @@ class VirtualCrazyflie:
             )
             self.flight.undefined = None
         then, received, sent = self._counted
-        if now - then >= 1000:
+        if now - then >= FIRMWARE_TIMEOUTS.link_statistics:
             seconds = 1e-3 * (now - then)
             self.rates = (
                 (self.received - received) / seconds,

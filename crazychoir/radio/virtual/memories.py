@@ -1,7 +1,7 @@
 """Port 4: the memories of a virtual drone, read and written in pieces."""
 
 import struct
-from collections.abc import Container, Iterator
+from collections.abc import Callable, Container, Iterator
 from typing import Protocol
 
 from crazychoir.firmware.memories import MEMORY_KINDS, MEMORY_PACKETS, MEMORY_SIZES
@@ -66,27 +66,28 @@ class StoredMemory:
 
 
 class MemoryTester:
-    """The firmware's test of memories: each byte is the lowest byte of its address."""
+    """The firmware's test of memories: each byte is the lowest byte of its address.
+
+    take_reset: returns whether memTst.resetW is set, and clears it
+    """
 
     kind: int = MEMORY_KINDS.tester
     size: int = MEMORY_SIZES.tester
 
-    def __init__(self) -> None:
+    def __init__(self, take_reset: Callable[[], bool]) -> None:
         self.errors = 0
-        """Wrong bytes that were written."""
-        self.resets = False
-        """Whether the next write counts from 0; that write clears it."""
+        """Packets with wrong bytes that were written since the last reset."""
+        self._take_reset = take_reset
 
     def read(self, address: int, length: int) -> bytes | None:
         """Return bytes by the rule."""
         return bytes((address + k) & 0xFF for k in range(length))
 
     def write(self, address: int, data: bytes) -> bool:
-        """Count the bytes against the rule."""
-        if self.resets:
-            self.resets = False
+        """Count a packet that is against the rule."""
+        if self._take_reset():
             self.errors = 0
-        self.errors += sum(byte != (address + k) & 0xFF for k, byte in enumerate(data))
+        self.errors += any(byte != (address + k) & 0xFF for k, byte in enumerate(data))
         return True
 
 
@@ -140,6 +141,7 @@ class MemoryService:
     kept: content that survives restarts, by type
     number: last byte of the drone's address
     decks: names of its decks
+    take_reset: returns whether the errors of the tester are to be reset, once
     """
 
     def __init__(
@@ -148,9 +150,10 @@ class MemoryService:
         kept: dict[int, bytearray],
         number: int,
         decks: Container[str],
+        take_reset: Callable[[], bool],
     ) -> None:
         eeprom = make_eeprom(address=0xE7E7E7E700 | number)
-        self.tester = MemoryTester()
+        self.tester = MemoryTester(take_reset)
         self.all: list[DroneMemory] = [
             StoredMemory(
                 MEMORY_KINDS.eeprom, kept.setdefault(MEMORY_KINDS.eeprom, eeprom)

@@ -7,7 +7,6 @@ All others are *inert*: they are stored and read back, and the drone says so at 
 from collections.abc import Callable
 from typing import Protocol
 
-from crazychoir.radio.virtual.memories import MemoryTester
 from crazychoir.radio.virtual.toc import TocEntry
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.parameters import PARAMETER_PLACES, RESET_ESTIMATION
@@ -58,7 +57,6 @@ class WriteEffects:
 
     onboard: model of the firmware
     parameters: parameters of the drone
-    tester: memory with the errors that memTst.resetW resets
     has_asserted: whether the drone has started after a failed assertion
     say: prints a text on the console
     """
@@ -67,18 +65,15 @@ class WriteEffects:
         self,
         onboard: Onboard,
         parameters: StoredParameters,
-        tester: MemoryTester,
         has_asserted: bool,
         say: Callable[[str], None],
     ) -> None:
         self._onboard = onboard
         self._parameters = parameters
-        self._tester = tester
         self._has_asserted = has_asserted
         self._say = say
         self._told: set[str] = set()
         self._effects: dict[str, Callable[[], None]] = {
-            "memTst.resetW": self._reset_tester,
             "supervisor.infdmp": self._tell_supervisor,
             "system.assertInfo": self._tell_assertion,
             "system.storageReformat": self._parameters.stored.clear,
@@ -96,9 +91,6 @@ class WriteEffects:
         if not is_modelled(name) and value != entry.boot and name not in self._told:
             self._told.add(name)
             self._say(f"PARAM: {name} is not simulated: no effect\n")
-
-    def _reset_tester(self) -> None:
-        self._tester.resets = True
 
     def _tell_supervisor(self) -> None:
         info = self._onboard.info

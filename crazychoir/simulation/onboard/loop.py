@@ -4,6 +4,7 @@ import math
 from typing import NamedTuple
 
 from crazychoir.firmware.supervision import SUPERVISOR_STATES
+from crazychoir.firmware.timeouts import FIRMWARE_TIMEOUTS
 from crazychoir.numerics.kernels import kernel, real
 from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.simulation.onboard import (
@@ -40,7 +41,7 @@ class TaskPeriods(NamedTuple):
     """Period in ms of attitude and rate control, 500 Hz."""
     position: int = 10
     """Period in ms of estimator, position control and planner, 100 Hz."""
-    supervisor: int = 40
+    supervisor: int = FIRMWARE_TIMEOUTS.supervision
     """Period in ms of the supervisor, 25 Hz."""
 
 

@@ -232,6 +232,20 @@ def test_a_deck_brings_its_memories(decks, kinds):
     assert found == kinds
 
 
+def test_the_tester_counts_packets_with_wrong_bytes_until_it_is_reset():
+    """The firmware: mem.c counts the first wrong byte of a packet."""
+    hangar = Hangar()
+    wrong = Packet(CrtpPort.MEMORY, 2, bytes([2, 0, 0, 0, 0, 9, 9, 9]))
+    right = Packet(CrtpPort.MEMORY, 2, bytes([2, 0, 0, 0, 0, 0, 1, 2]))
+    for packet in (wrong, right, wrong):
+        list(hangar.drone.take(packet))
+    assert hangar.log("memTst.errCntW") == 2.0
+    hangar.drone.parameters.set("memTst.resetW", 1.0)
+    list(hangar.drone.take(wrong))
+    assert hangar.log("memTst.errCntW") == 1.0
+    assert hangar.drone.parameters.read("memTst.resetW") == 0.0
+
+
 def test_the_console_says_what_starts_and_each_line_ends_its_packet():
     """The firmware: `SYS: Crazyflie 2.1 is up and running!`, then decks and the self-test."""
     drone = Hangar(decks=("bcFlow2",)).drone
