@@ -175,7 +175,7 @@ class FlightService:
         """Return the answer of the model; None if there is none."""
         port, channel, data, buffer = packet
         is_setpoint = port in (CrtpPort.COMMANDER, CrtpPort.SETPOINT)
-        if port == CrtpPort.SETPOINT and not data:
+        if (port, channel) == (CrtpPort.SETPOINT, 0) and not data:
             raise FirmwareAssertion("CRTP set-point: 0 bytes; allowed: 1 or more.")
         form = self._forms.get((port, channel, buffer[0])) or self._forms.get(
             (port, channel, -1)

@@ -170,10 +170,10 @@ def rpyt(
 ) -> bool:
     """Accept an RPYT packet: roll, pitch, yaw (angles or rates) and thrust.
 
-    Thrust is locked until a packet without thrust arrives, and locked again after a time without a
-    source in control. A thrust below 1000 counts as none, above 60000 as 60000. The yaw rate has
-    inverted sign in this kind of packet only. The modes flightmode.althold, .poshold and .posSet
-    give the numbers another meaning. Source: crazyflie-firmware, crtp_commander_rpyt.c.
+    Thrust is locked until a packet without thrust arrives, and as long as no source has had control.
+    A thrust below 1000 counts as none, above 60000 as 60000. The yaw rate has inverted sign in this
+    kind of packet only. The modes flightmode.althold, .poshold and .posSet give the numbers another
+    meaning. Source: crazyflie-firmware, crtp_commander_rpyt.c.
     """
     fw = fleet[i]
     if fw.priority == SETPOINT_PRIORITIES.no_sender:

@@ -7,7 +7,6 @@ from crazychoir.firmware.planning import PLANNER_STATES
 from crazychoir.firmware.supervision import SUPERVISOR_BITS, SUPERVISOR_STATES
 from crazychoir.firmware.timeouts import FIRMWARE_TIMEOUTS
 from crazychoir.numerics.kernels import kernel
-from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES
 from crazychoir.simulation.onboard.planner import is_finished
 from crazychoir.simulation.onboard.record import Fleet, Record, rows, whole
 
@@ -91,8 +90,6 @@ def _enter(fw: Record, state: int) -> None:
         fw.armed = 1
     if state == SUPERVISOR_STATES.crashed:
         fw.crashed = 1
-    if state == SUPERVISOR_STATES.free_fall:
-        fw.priority = SETPOINT_PRIORITIES.no_sender
 
 
 @kernel()
@@ -244,9 +241,8 @@ def update(fw: Record) -> None:
     Programs read what it has found until its next pass: `flying` and the bits of supervisor.info.
     An emergency stop too counts from the next pass on, within 40 ms. A landed drone is locked by it
     when it has been disarmed, or takes off again.
-    Choices of this model:
-    - Free fall takes control from all sources of set-points.
-    - Arming always succeeds at the next pass, because motor speeds are not checked.
+    Choice of this model: arming always succeeds at the next pass, because motor speeds are not
+    checked.
     Source: crazyflie-firmware, supervisor.c and supervisor_state_machine.c.
     """
     _see_tumbling(fw)

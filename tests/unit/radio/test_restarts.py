@@ -67,8 +67,17 @@ def test_packets_with_an_unchecked_length_are_counted_as_malformed(name):
         ("31 bytes", Packet(CrtpPort.MEMORY, 1, bytes([0, 0, 0, 0, 0, 25]))),
         ("31 bytes", Packet(CrtpPort.LINK, 0, bytes(31))),
         ("1 bytes", Packet(CrtpPort.SETPOINT, 1, b"\0")),
+        ("0 bytes", Packet(CrtpPort.SETPOINT, 1)),
     ],
-    ids=["description", "read", "write", "long read", "long echo", "short notice"],
+    ids=[
+        "description",
+        "read",
+        "write",
+        "long read",
+        "long echo",
+        "short notice",
+        "empty notice",
+    ],
 )
 def test_an_assertion_of_the_firmware_resets_it(what, packet, caplog):
     """crazyflie-firmware: mem.c and crtp.c assert on these packets."""
