@@ -1,11 +1,8 @@
 """Port 0: the console of a virtual drone, on which the firmware says what it does."""
 
-import numpy as np
-
 from crazychoir.firmware.supervision import SUPERVISOR_STATES
 from crazychoir.radio.protocol.crtp import CRTP_FORMAT, CrtpPort, Packet
 from crazychoir.simulation.onboard.onboard import Onboard
-from crazychoir.simulation.onboard.supervisor import SUPERVISOR_LIMITS
 
 ESTIMATOR_WARNING_PAUSE = 2000
 """ms between two lines about an estimate out of bounds (estimator_kalman.c)."""
@@ -15,7 +12,7 @@ STATE_LINES = {
 }
 """What the supervisor says in a state, on each platform."""
 FALL_LINE = "SUP: free falling!\n"
-"""What the supervisor says when a drone begins to fall freely."""
+"""What the supervisor says when a drone begins to fall freely, as its accelerometer shows."""
 ARMING_LINE = "SUP: Ready to fly\n"
 """What the supervisor says of a drone that was armed by a program."""
 DISARMING_LINE = "SUP: Disarming\n"
@@ -99,13 +96,8 @@ class FirmwareConsole:
             self.say(DISARMING_LINE)
 
     def _watch_fall(self) -> None:
-        record = self._onboard.record
-        pushes = np.abs([record[name] for name in ("ax", "ay", "az")])
         was_falling = self._is_falling
-        self._is_falling = bool(
-            int(record["state"]) != SUPERVISOR_STATES.not_initialised
-            and np.max(pushes) < SUPERVISOR_LIMITS.falling_acceleration
-        )
+        self._is_falling = bool(self._onboard.record["falling"])
         if self._is_falling and not was_falling:
             self.say(FALL_LINE)
 

@@ -327,7 +327,7 @@ drone_fields = np.dtype(
         ("avoids", np.int64),  # colAv.enable: `avoided` is flown instead of `wanted`
         # supervisor
         *_integer_fields(
-            "self_tested state since armed auto_arm turning flying tumbled crashed emergency estop info"
+            "self_tested state since armed auto_arm turning flying falling tumbled crashed emergency estop info"
         ),
         *_integer_fields("tilted tilted_at watchdog watchdog_at stopping_at"),
         *_integer_fields(

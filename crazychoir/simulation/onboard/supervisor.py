@@ -45,6 +45,7 @@ def _see_tumbling(fw: Record) -> None:
     strongest = max(abs(fw.ax), max(abs(fw.ay), abs(fw.az)))
     is_falling = strongest < SUPERVISOR_LIMITS.falling_acceleration
     is_upright = fw.az >= SUPERVISOR_LIMITS.upright_acceleration
+    fw.falling = 1 if is_falling else 0
     if is_falling or is_upright or not fw.tilted:
         fw.tilted_at = fw.tick
     fw.tilted = 0 if is_upright else 1

@@ -4,7 +4,6 @@ import pytest
 from virtual_drones import Hangar
 
 from crazychoir.radio.virtual.fault_control import overturn
-from crazychoir.simulation.onboard.supervisor import SUPERVISOR_LIMITS
 
 
 def _said(hangar):
@@ -49,7 +48,3 @@ def test_an_estimate_out_of_bounds_is_told_every_two_seconds():
         hangar.onboard.record["x"] = 1e6
         hangar.run(0.1)
     assert _said(hangar).count("ESTKALMAN: State out of bounds") == 2
-
-
-def test_a_drone_falls_freely_below_a_tenth_of_its_weight():
-    assert SUPERVISOR_LIMITS.falling_acceleration == 0.1
