@@ -17,7 +17,7 @@ from crazychoir.radio.protocol.crtp import (
     Packet,
 )
 from crazychoir.radio.virtual.console import FirmwareConsole
-from crazychoir.radio.virtual.flight import FlightService
+from crazychoir.radio.virtual.flight import FlightService, VersionService
 from crazychoir.radio.virtual.logs import LogService
 from crazychoir.radio.virtual.memories import LIGHTHOUSE_DECK, MemoryService
 from crazychoir.radio.virtual.parameter_effects import WriteEffects
@@ -183,8 +183,7 @@ class VirtualCrazyflie:
         self.flight = FlightService(
             on,
             me.number,
-            me.release,
-            me.device,
+            VersionService(me.release, me.device),
             self.parameters.read,
             self.parameters.set,
         )

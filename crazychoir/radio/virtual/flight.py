@@ -83,13 +83,41 @@ _PACKED_POSITION_LAYOUT = struct.Struct("<Bhhh")
 """Layout of a packed position."""
 
 
+CAREFREE_MODE = 0
+"""Value of flightmode.yawMode for which the firmware has no code (crtp_commander_rpyt.c)."""
+
+
+class VersionService:
+    """Tells the protocol, the release and the kind of drone.
+
+    release: release of the firmware
+    device: kind of drone
+    """
+
+    def __init__(self, release: str, device: str) -> None:
+        self._answers = {
+            PLATFORM_REQUESTS.protocol: PROTOCOL_VERSION.to_bytes(4, "little"),
+            PLATFORM_REQUESTS.release: release.encode(),
+            PLATFORM_REQUESTS.device: device.encode(),
+        }
+
+    def take(self, request: int) -> Iterator[Packet]:
+        """Return the answer to a request; none to an unknown one."""
+        if request in self._answers:
+            answer = bytes([request]) + self._answers[request]
+            yield Packet(
+                CrtpPort.PLATFORM,
+                PLATFORM_REQUESTS.version_channel,
+                answer[: CRTP_FORMAT.payload_size],
+            )
+
+
 class FlightService:
     """Takes set-points, plans, poses and requests, and counts them.
 
     onboard: model of the firmware
     number: last byte of the drone's address, which selects its packed pose
-    firmware: release of the firmware
-    device: type of the device
+    versions: tells what the drone is
     read: returns a parameter by name
     write: sets a parameter by name
     """
@@ -98,15 +126,13 @@ class FlightService:
         self,
         onboard: Onboard,
         number: int,
-        firmware: str,
-        device: str,
+        versions: VersionService,
         read: Callable[[str], float],
         write: Callable[[str, float], None],
     ) -> None:
         self.onboard = onboard
         self.number = number
-        self.firmware = firmware
-        self.device = device
+        self._versions = versions
         self.read = read
         self.write = write
         self._forms: dict[tuple[int, int, int], PacketForm] = {}
@@ -187,8 +213,7 @@ class FlightService:
             return None
         values = form.read(buffer)
         if is_setpoint and channel == 0:
-            self.last = form.name
-            self.zeros += form.name == "rpyt" and not any(values)
+            self._note_setpoint(form, values)
         if (
             port == CrtpPort.HIGH_LEVEL
             and form.name not in ("group_mask", "define_trajectory")
@@ -205,6 +230,17 @@ class FlightService:
         if form.name in COMMAND_FUNCTIONS:
             return COMMAND_FUNCTIONS[form.name](self.onboard, *values)
         return FLIGHT_FUNCTIONS[form.name](self, *values)
+
+    def _note_setpoint(self, form: PacketForm, values: tuple[Any, ...]) -> None:
+        """Note the kind of a set-point.
+
+        Raises FirmwareAssertion for roll, pitch and yaw in a mode that the firmware does not have.
+        """
+        self.last = form.name
+        if form.name == "rpyt":
+            self.zeros += not any(values)
+            if self.read("flightmode.yawMode") == CAREFREE_MODE:
+                raise FirmwareAssertion("flightmode.yawMode is 0; allowed: 1, 2.")
 
     def _handle_unknown(self, packet: ReceivedPacket) -> None:
         """Count an unknown packet, and act on it as the firmware does.
@@ -280,7 +316,7 @@ class FlightService:
             case PLATFORM_REQUESTS.command_channel:
                 yield self._command_platform(packet)
             case PLATFORM_REQUESTS.version_channel:
-                yield from self._version(packet.buffer[0])
+                yield from self._versions.take(packet.buffer[0])
             case _:
                 # The channel of an application on board; this drone has none.
                 self.unknown += 1
@@ -293,21 +329,6 @@ class FlightService:
         if (port, channel, buffer[0]) not in self._forms:
             return Packet(port, channel, data)
         return Packet(port, channel, buffer[:1] + self._obey(packet))
-
-    def _version(self, request: int) -> Iterator[Packet]:
-        """Answer a request for the protocol, the release or the kind of device."""
-        answers = {
-            PLATFORM_REQUESTS.protocol: PROTOCOL_VERSION.to_bytes(4, "little"),
-            PLATFORM_REQUESTS.release: self.firmware.encode(),
-            PLATFORM_REQUESTS.device: self.device.encode(),
-        }
-        if request in answers:
-            answer = bytes([request]) + answers[request]
-            yield Packet(
-                CrtpPort.PLATFORM,
-                PLATFORM_REQUESTS.version_channel,
-                answer[: CRTP_FORMAT.payload_size],
-            )
 
     # Poses from outside
 

@@ -87,6 +87,18 @@ def test_an_assertion_of_the_firmware_resets_it(what, packet, caplog):
     assert what in caplog.text
 
 
+def test_roll_and_pitch_in_the_carefree_mode_reset_it():
+    """crazyflie-firmware: crtp_commander_rpyt.c asserts if flightmode.yawMode is 0."""
+    hangar = Hangar()
+    hangar.send("rpyt", 0.0, 0.0, 0.0, 0)
+    assert hangar.drone.starts == 1
+    hangar.drone.parameters.set("flightmode.yawMode", 0.0)
+    hangar.send("hover", 0.0, 0.0, 0.0, 0.0)
+    assert hangar.drone.starts == 1
+    hangar.send("rpyt", 0.0, 0.0, 0.0, 0)
+    assert hangar.drone.starts == 2
+
+
 @pytest.mark.parametrize(
     "packet",
     [
