@@ -141,7 +141,7 @@ def _choose_setpoint(fw: Record) -> Record:
     if fw.avoids:
         voronoi.avoid_peers(fw)
         sp = fw.avoided
-    if fw.state == supervisor.SUPERVISOR_STATES.level_out:
+    if fw.state == SUPERVISOR_STATES.level_out:
         write_level_setpoint(fw, sp)
         sp = fw.level
     return sp

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.firmware.supervision import STATE_NAMES, SUPERVISOR_STATES
+from crazychoir.firmware.supervision import STATE_NAMES
 from crazychoir.platforms import Platform
 from crazychoir.simulation.onboard import (
     commander,
