@@ -1,0 +1,1 @@
+"""Identify the parameters of one drone from recordings of its flights."""
