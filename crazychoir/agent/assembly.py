@@ -9,6 +9,7 @@ from crazychoir.agent.drone import Drone
 from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.port import Bus, Port
 from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.calibrated import find_known_platform
 from crazychoir.config.checks import WORLD_URIS, limit_area
 from crazychoir.config.drone_room import fence_of
 from crazychoir.config.link_loss import TILT_TIMES, describe_crowding, fence_inset
@@ -285,7 +286,7 @@ def _choose_controls(config: SwarmConfig, i: int, row: DroneRow) -> Controls:
     choice = config.control_of(i)
     return make_controls(
         choice,
-        find_platform(drone.platform),
+        find_known_platform(drone),
         kind,
         plant.rate_lag,
         plant.command_delay,
@@ -322,7 +323,7 @@ def _find_braking_limit(config: SwarmConfig, i: int) -> float:
     """Return the acceleration in m/s2 with which drone i brakes."""
     return compute_braking_limit(
         config.flight,
-        find_platform(config.drone(i).platform),
+        find_known_platform(config.drone(i)),
         FLATNESS_LIMITS.height_share * FLATNESS_LIMITS.acceleration_share,
     )
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from crazychoir.config.reader import show_value
+from crazychoir.config.reader import write_value
 from crazychoir.errors import ConfigError
 from crazychoir.files.output_files import output_file
 from crazychoir.files.text_files import TEXT_MARKS, read_text
@@ -24,7 +24,7 @@ def lines_of(i: int, keys: Mapping[str, object]) -> str:
         [
             "[[drones]]",
             f"id = {i}",
-            *(f"{key} = {show_value(value)}" for key, value in keys.items()),
+            *(f"{key} = {write_value(value)}" for key, value in keys.items()),
         ]
     )
 
@@ -43,7 +43,7 @@ def with_keys(
     lines = text.splitlines(keepends=True)
     for i, keys in changes.items():
         for key, value in keys.items():
-            lines = _with_key(lines, i, key, show_value(value))
+            lines = _with_key(lines, i, key, write_value(value))
     after = "".join(lines)
     expected = _expected_values(before, changes)
     if expected is None or _parsed(after) != expected:
@@ -108,7 +108,7 @@ def _tables(lines: list[str]) -> Iterator[tuple[int, int]]:
 def _replace_value(line: str, key: str, value: str) -> str:
     """Return the line with another value; a comment after it stays."""
     found = re.match(
-        rf"(\s*{key}\s*=\s*)(\"[^\"]*\"|'[^']*'|\[[^\]]*\]|[^#\s]*)(.*)",
+        rf"(\s*{key}\s*=\s*)(\"[^\"]*\"|'[^']*'|\[[^\]]*\]|\{{[^}}]*\}}|[^#\s]*)(.*)",
         line,
         re.DOTALL,
     )

@@ -154,16 +154,17 @@ def _find_keys(kind: type[msgspec.Struct]) -> dict[str, FieldInfo]:
 
 def show_value(value: object) -> str:
     """Return a value as a swarm file writes it, shortened."""
-    text = _toml(value)
+    text = write_value(value)
     return text if len(text) <= SHOWN_LETTERS else f"{text[:SHOWN_LETTERS]}..."
 
 
-def _toml(value: object) -> str:
+def write_value(value: object) -> str:
+    """Return a value as a swarm file writes it, on one line."""
     if isinstance(value, Mapping):
-        inner = ", ".join(f"{key} = {_toml(item)}" for key, item in value.items())
+        inner = ", ".join(f"{key} = {write_value(item)}" for key, item in value.items())
         return f"{{ {inner} }}" if inner else "{}"
     if isinstance(value, list | tuple):
-        return f"[{', '.join(_toml(item) for item in value)}]"
+        return f"[{', '.join(write_value(item) for item in value)}]"
     return json.dumps(value, ensure_ascii=False, default=str)
 
 

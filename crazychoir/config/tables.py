@@ -298,8 +298,95 @@ ThrustMap = Annotated[
 ]
 
 
+ThrustFactor = Annotated[
+    float,
+    Meta(ge=0.3, le=2.0, description="a share, 0.3 to 2", examples=[0.93]),
+]
+MotorFactor = Annotated[float, Meta(ge=0.5, le=1.5)]
+MotorFactors = Annotated[
+    tuple[MotorFactor, MotorFactor, MotorFactor, MotorFactor],
+    Meta(description="four shares, 0.5 to 1.5", examples=[[1.02, 0.98, 1.01, 0.99]]),
+]
+RotorLag = Annotated[
+    float,
+    Meta(ge=0.005, le=0.3, description="a time in s, 0.005 to 0.3", examples=[0.06]),
+]
+RotorDelay = Annotated[
+    float, Meta(ge=0, le=0.1, description="a time in s, 0 to 0.1", examples=[0.01])
+]
+Drag = Annotated[float, Meta(ge=0, le=0.2)]
+Drags = Annotated[
+    tuple[Drag, Drag, Drag],
+    Meta(
+        description="three drags in kg/s, 0 to 0.2",
+        examples=[[0.0123, 0.0126, 0.0128]],
+    ),
+]
+AirMoment = Annotated[float, Meta(ge=-0.01, le=0.01)]
+AirMoments = Annotated[
+    tuple[AirMoment, AirMoment],
+    Meta(
+        description="two moments in N m per m/s, -0.01 to 0.01",
+        examples=[[0.00055, 0.00059]],
+    ),
+]
+RateDamping = Annotated[float, Meta(ge=0, le=0.01)]
+RateDampings = Annotated[
+    tuple[RateDamping, RateDamping, RateDamping],
+    Meta(
+        description="three dampings in N m per rad/s, 0 to 0.01",
+        examples=[[0.00005, 0.00005, 0.0]],
+    ),
+]
+Noise = Annotated[float, Meta(ge=0, le=1)]
+Noises = Annotated[
+    tuple[Noise, Noise, Noise],
+    Meta(
+        description="three deviations in m, rad and rad/s, 0 to 1",
+        examples=[[0.0001, 0.0017, 0.004]],
+    ),
+]
+Resistance = Annotated[
+    float,
+    Meta(ge=0.001, le=2, description="ohm, 0.001 to 2", examples=[0.15]),
+]
+Capacity = Annotated[
+    float, Meta(ge=1, le=100_000, description="A s, 1 to 100000", examples=[900])
+]
+
+
 class SwarmTable(Struct, frozen=True, kw_only=True):
     """Base of all tables of a swarm file."""
+
+
+class CalibrationTable(SwarmTable, frozen=True, kw_only=True):
+    """[drones.calibration]: what `crazychoir calibrate` found about this drone.
+
+    Simulated bodies have it, and controllers know it. A key that is left out is as in the platform.
+    """
+
+    thrust_factor: ThrustFactor | None = None
+    """True thrust as a share of the platform's."""
+    motor_factors: MotorFactors | None = None
+    """(4,): thrust of motors 1 to 4 as a share of their mean."""
+    trim: Tilt | None = None
+    """rad, roll and pitch: rotation from the thrust axis to the tracked body, in addition to body_rotation."""
+    rotor_lag: RotorLag | None = None
+    """s: time constant of the rotors."""
+    rotor_delay: RotorDelay | None = None
+    """s: time constant of a second lag, before the rotors."""
+    drag: Drags | None = None
+    """(3,) kg/s, body axes."""
+    speed_moment: AirMoments | None = None
+    """(2,) N m per m/s: moments about x and y that speed makes, see platforms.py."""
+    rate_damping: RateDampings | None = None
+    """(3,) N m per rad/s, body axes."""
+    noise: Noises | None = None
+    """m, rad, rad/s: noise of place, angles and gyroscope in flight; for information."""
+    battery_resistance: Resistance | None = None
+    """ohm."""
+    battery_capacity: Capacity | None = None
+    """A s."""
 
 
 class DroneTable(SwarmTable, frozen=True, kw_only=True):
@@ -342,6 +429,8 @@ class DroneTable(SwarmTable, frozen=True, kw_only=True):
     """
     parameters: Free = field(default_factory=dict)
     """Firmware parameters that are set at connection, in addition to those of [radio]."""
+    calibration: CalibrationTable = CalibrationTable()
+    """What flights of this drone have told; see `crazychoir calibrate`."""
 
 
 class LinkTable(SwarmTable, frozen=True, kw_only=True):

@@ -55,7 +55,7 @@ def quaternion_of_rpy(rpy: Sequence[float]) -> Vec:
 class Mounting:
     """The position and rotation of the tracked body on its drone.
 
-        q_b = q q_m,   p_b = p + R(q) o,   so   q = q_b q_m^-1,   p = p_b - R(q) o
+        q_b = q q_t q_m,   p_b = p + R(q) o,   so   q = q_b (q_t q_m)^-1,   p = p_b - R(q) o
 
     p, q are the pose of the drone; p_b, q_b are the pose of the body, as tracked.
     """
@@ -68,14 +68,23 @@ class Mounting:
     It is (0, 0, yaw) for a body that was defined while the drone looked along -yaw.
     """
 
+    trim: tuple[float, float] = (0.0, 0.0)
+    """rad: roll, pitch of R(q_t) = Ry Rx, from the thrust axis of the drone to the level of q_m."""
+
     @property
     def is_none(self) -> bool:
         """Whether body and drone have the same pose."""
-        return not any((*self.offset, *self.rotation))
+        return not any((*self.offset, *self.rotation, *self.trim))
 
     @cached_property
     def _arrays(self) -> tuple[Vec, Vec]:
-        return np.array(self.offset), quaternion_of_rpy(self.rotation)
+        trim = quaternion_of_rpy((*self.trim, 0.0))
+        mounted = quaternion_of_rpy(self.rotation)
+        turn = quaternion_product(
+            (trim[0], trim[1], trim[2], trim[3]),
+            (mounted[0], mounted[1], mounted[2], mounted[3]),
+        )
+        return np.array(self.offset), np.array(turn)
 
     def drone(self, seen: Vec) -> Vec:
         """Return the drone's pose (7,) if its body has the pose seen (7,)."""

@@ -8,6 +8,7 @@ from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import PORT_ADDRESSES, Bus, Port
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.config.tables import DroneTable
 from crazychoir.errors import ConfigError, Refused, error_text
 from crazychoir.filters.velocity import VelocityFilter
 from crazychoir.mocap.frames import PoseFrame
@@ -304,11 +305,17 @@ def _make_track(config: SwarmConfig, port: Port, i: int) -> TrackedDrone:
     )
     return TrackedDrone(
         config.body_name(i),
-        Mounting(drone.body_offset, drone.body_rotation),
+        Mounting(drone.body_offset, drone.body_rotation, _find_trim(config, drone)),
         port,
         VelocityFilter(),
         body,
     )
+
+
+def _find_trim(config: SwarmConfig, drone: DroneTable) -> tuple[float, float]:
+    """Return the calibrated trim (roll, pitch) in rad of a drone; simulated cameras see no trim."""
+    is_simulated = config.mocap.source == "virtual"
+    return (0.0, 0.0) if is_simulated else drone.calibration.trim or (0.0, 0.0)
 
 
 def _make_pose(flat: Vec | None, age: float) -> Pose | None:

@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from crazychoir.config.calibrated import build_body, find_thrust_factor
 from crazychoir.config.checks import (
     WORLD_ENTRY_POINTS,
     WORLD_STEP,
@@ -65,10 +66,7 @@ BUILT_IN_ENGINES = {
 def lightweight(setup: WorldSetup) -> World:
     """Make a world with the paper's integrator."""
     homes = np.array(setup.homes, dtype=float)
-    bodies = [
-        find_equivalent_platform(row, setup.mass_error, setup.thrust_error)
-        for row in setup.platforms
-    ]
+    bodies = setup.build_bodies(find_equivalent_platform)
     return CFIntegrator(
         setup.ids,
         homes,
@@ -144,6 +142,8 @@ def _world(config: SwarmConfig, drones: tuple[DroneTable, ...]) -> World:
         dt=WORLD_STEP,
         mass_error=config.plant.mass_error,
         thrust_error=config.plant.thrust_error,
+        bodies=tuple(build_body(drone) for drone in drones),
+        thrust_factors=tuple(find_thrust_factor(drone) for drone in drones),
     )
     try:
         world: World = entry.load()(setup)

@@ -25,6 +25,7 @@ MOUNTINGS = [
     Mounting((0.0, 0.0, 0.03), (0.0, 0.0, 0.0)),
     Mounting((0.012, -0.02, 0.03), (0.05, -0.08, 1.9)),
 ]
+TRIMMED_MOUNTING = Mounting((0.012, -0.02, 0.03), (0.05, -0.08, 1.9), (0.02, -0.03))
 
 
 def random_pose(draw):
@@ -48,9 +49,9 @@ def test_angles_are_those_of_their_rotation_and_back():
         np.testing.assert_allclose(roll_pitch_yaw_of(q), (roll, pitch, yaw), atol=1e-12)
 
 
-@pytest.mark.parametrize("mounting", MOUNTINGS)
+@pytest.mark.parametrize("mounting", [*MOUNTINGS, TRIMMED_MOUNTING])
 def test_the_body_is_where_its_equation_says(mounting):
-    """q_b = q q_m,  p_b = p + R(q) o; and the drone is found again."""
+    """q_b = q q_t q_m,  p_b = p + R(q) o; and the drone is found again."""
     draw = np.random.default_rng(0)
     for _ in range(10):
         drone = random_pose(draw)
@@ -60,7 +61,7 @@ def test_the_body_is_where_its_equation_says(mounting):
         )
         np.testing.assert_allclose(
             rotation(body[3:7]),
-            rotation(drone[3:7]) @ rpy(*mounting.rotation),
+            rotation(drone[3:7]) @ rpy(*mounting.trim, 0.0) @ rpy(*mounting.rotation),
             atol=1e-12,
         )
         again = mounting.drone(body)

@@ -3,8 +3,8 @@
 import logging
 
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
+from crazychoir.config.calibrated import find_known_platform
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.platforms import find_platform
 from crazychoir.safety.rules.guard import Throttle
 
 log = logging.getLogger(__name__)
@@ -32,7 +32,7 @@ class DroneSetup:
         """Port of the drone's body."""
         self.row = config.drone(i)
         """Row of the swarm file."""
-        self.platform = find_platform(self.row.platform)
+        self.platform = find_known_platform(self.row)
         self.seen_by_cameras = self.row.pose == "mocap"
         """Whether cameras tell the pose of the drone."""
         self._throttle = Throttle()

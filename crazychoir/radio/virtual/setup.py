@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import msgspec
 
+from crazychoir.config.calibrated import build_body, find_thrust_factor
 from crazychoir.config.checks import WORLD_STEP
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
@@ -108,6 +109,10 @@ class VirtualSwarm:
                 dt=WORLD_STEP,
                 mass_error=config.plant.mass_error,
                 thrust_error=config.plant.thrust_error,
+                bodies=tuple(
+                    platform_of_release(build_body(drone), release) for drone in drones
+                ),
+                thrust_factors=tuple(find_thrust_factor(drone) for drone in drones),
             )
         )
 

@@ -1,6 +1,6 @@
 """The contract of every engine, which lets the code above it work with any simulated world."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -65,6 +65,24 @@ class WorldSetup:
     """Share by which each body is heavier than its platform."""
     thrust_error: float = 0.0
     """Share by which each body's rotors pull harder than its platform says."""
+    bodies: tuple[Platform, ...] = ()
+    """Calibrated body of each drone; empty: the platforms."""
+    thrust_factors: tuple[float, ...] = ()
+    """Calibrated thrust of each drone as a share of its body's; empty: 1."""
+
+    def build_bodies(
+        self, apply: Callable[[Platform, float, float], Platform]
+    ) -> list[Platform]:
+        """Return the true body of each drone.
+
+        apply: returns a platform with relative errors of mass and thrust, see `mismatch`
+        """
+        rows = self.bodies or self.platforms
+        factors = self.thrust_factors or (1.0,) * len(rows)
+        return [
+            apply(row, self.mass_error, (1.0 + self.thrust_error) * factor - 1.0)
+            for row, factor in zip(rows, factors, strict=True)
+        ]
 
 
 class DroneLink(Protocol):

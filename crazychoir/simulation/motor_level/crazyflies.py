@@ -232,13 +232,10 @@ class CrazyflieWorld(MotorWorld):
             min(share * options["imbalance"], LARGEST_IMBALANCE),
             options["worn_battery"],
         )
+        true_bodies = setup.build_bodies(apply_model_errors)
         bodies = [
-            imperfections.apply(
-                apply_model_errors(row, setup.mass_error, setup.thrust_error),
-                setup.seed,
-                i,
-            )
-            for i, row in zip(setup.ids, setup.platforms, strict=True)
+            imperfections.apply(row, setup.seed, i)
+            for i, row in zip(setup.ids, true_bodies, strict=True)
         ]
         return cls(
             setup.ids,

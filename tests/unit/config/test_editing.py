@@ -38,6 +38,15 @@ def test_what_was_written_is_replaced_when_it_is_written_again():
     assert with_keys(twice, {}) == twice
 
 
+def test_a_table_of_many_keys_is_written_whole_and_replaced():
+    many = {f"key_{n}": [1.0, 2.0, 3.0] for n in range(9)}
+    once = with_keys(FILE, {1: {"calibration": many}})
+    assert "key_8 = [1.0, 2.0, 3.0] }" in once
+    twice = with_keys(once, {1: {"calibration": {"thrust_factor": 0.9}}})
+    assert "calibration = { thrust_factor = 0.9 }\n" in twice
+    assert "key_8" not in twice
+
+
 def test_line_ends_of_other_systems_and_a_missing_last_one():
     text = 'name = "lab"\r\n[[drones]]\r\nid = 0\r\nhome = [0, 0, 0]'
     assert with_keys(text, {0: {"body": "b"}}) == f'{text}\r\nbody = "b"\r\n'

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from crazychoir.config.calibrated import find_known_platform
 from crazychoir.config.checks import WORLD_URIS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.numerics.math3d import STANDARD_GRAVITY
@@ -151,3 +152,31 @@ def test_an_engine_of_others_is_told_the_errors(monkeypatch):
     monkeypatch.setattr(engines, "_entry_point", lambda uri: entry)
     swarm("sim://", "paper", mass_error=MASS, thrust_error=THRUST)
     assert told == [(MASS, THRUST)]
+
+
+@pytest.mark.parametrize("uri", [WORLD_URIS.lightweight, WORLD_URIS.motor_level])
+def test_a_calibrated_drone_hovers_at_what_its_controller_commands(uri):
+    """The controller knows m/k: its thrust m g/k makes the true thrust m g."""
+    found = {"thrust_factor": 0.85, "drag": [0.01, 0.01, 0.02], "rotor_lag": 0.05}
+    drone = {
+        "id": 0,
+        "home": [0.0, 0.0, 0.0],
+        "uri": uri,
+        "platform": "cf21",
+        "calibration": found,
+    }
+    config = SwarmConfig.of({"name": "a", "drones": [drone]})
+    (world,) = make_worlds(config, (0,))
+    known = find_known_platform(config.drone(0))
+    assert known.weight == pytest.approx(CRAZYFLIE_21.weight / 0.85)
+    if uri == WORLD_URIS.lightweight:
+        assert world.platforms[0].weight == pytest.approx(known.weight)
+        np.testing.assert_allclose(world.platforms[0].drag, known.drag)
+        return
+    body = world.platforms[0]
+    assert body.rotor.lag == 0.05
+    assert body.drag == (0.01, 0.01, 0.02)
+    share = known.weight / (4.0 * CRAZYFLIE_21.firmware.thrust_max)
+    lift = 4.0 * share * body.firmware.thrust_max
+    assert lift == pytest.approx(body.weight)
+    assert world.onboard[0].platform is CRAZYFLIE_21

@@ -1,0 +1,102 @@
+"""Apply the [drones.calibration] of a drone to its platform: its true body, and what its controller knows."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from crazychoir.config.tables import CalibrationTable, DroneTable
+from crazychoir.platforms import Battery, BodyEffects, Platform, find_platform
+
+CONTROL_RESERVE = 1.3
+"""Thrust over that of hover that a battery must allow at take-off."""
+LARGEST_VOLTAGE = 5.0
+"""V: largest voltage that is searched for a thrust."""
+
+
+def build_body(drone: DroneTable) -> Platform:
+    """Return the platform of the drone's body, with all effects that were found in its flights.
+
+    Commands are scaled with the rotors, see `simulation.common.mismatch`: the thrust factor is left to the caller.
+    """
+    row = find_platform(drone.platform)
+    found = drone.calibration
+    effects = row.effects
+    return replace(
+        row,
+        drag=row.drag if found.drag is None else found.drag,
+        rotor=(
+            row.rotor
+            if found.rotor_lag is None
+            else replace(row.rotor, lag=found.rotor_lag)
+        ),
+        battery=_build_battery(row.battery, found),
+        effects=BodyEffects(
+            speed_moment=found.speed_moment or effects.speed_moment,
+            motor_factors=found.motor_factors or effects.motor_factors,
+            rate_damping=found.rate_damping or effects.rate_damping,
+            delay=effects.delay if found.rotor_delay is None else found.rotor_delay,
+        ),
+    )
+
+
+def find_thrust_factor(drone: DroneTable) -> float:
+    """Return the true thrust of a drone as a share of its platform's."""
+    found = drone.calibration.thrust_factor
+    return 1.0 if found is None else found
+
+
+def find_known_platform(drone: DroneTable) -> Platform:
+    """Return the platform that the controller of a drone knows.
+
+        m v' = -m g e3 + k u R e3 - A v   is   m/k v' = -m/k g e3 + u R e3 - A/k v
+
+    With the thrust factor k, a controller for m/k and A/k gives the right thrusts u. A calibrated battery raises the
+    voltage below which the drone does not take off, if it would sag too far.
+    """
+    row = build_body(drone)
+    k = find_thrust_factor(drone)
+    x, y, z = row.drag
+    battery = row.battery
+    known = replace(
+        row,
+        mass=row.mass / k,
+        drag=(x / k, y / k, z / k),
+        battery=replace(battery, hover_power=battery.hover_power * k**-1.5),
+    )
+    found = drone.calibration
+    if found.battery_resistance is None:
+        return known
+    begin = max(battery.begin, compute_least_voltage(known))
+    return replace(known, battery=replace(known.battery, begin=begin))
+
+
+def compute_least_voltage(platform: Platform) -> float:
+    """Return the voltage in V at rest from which the drone can take off with CONTROL_RESERVE.
+
+        V + R (P / V + I_idle),   f(V) = CONTROL_RESERVE m g / 4
+
+    P is the power in hover; f the thrust of a motor at full duty cycle.
+    """
+    volts = np.linspace(0.0, LARGEST_VOLTAGE, 501)
+    thrusts = np.polynomial.Polynomial(platform.rotor.voltage)(volts)
+    wanted = CONTROL_RESERVE * platform.weight / 4.0
+    loaded = float(np.interp(wanted, thrusts, volts))
+    cell = platform.battery
+    return loaded + cell.resistance * (cell.hover_power / loaded + cell.idle)
+
+
+def _build_battery(battery: Battery, found: CalibrationTable) -> Battery:
+    """Return the battery with the calibrated resistance and capacity."""
+    return replace(
+        battery,
+        resistance=(
+            battery.resistance
+            if found.battery_resistance is None
+            else found.battery_resistance
+        ),
+        capacity=(
+            battery.capacity
+            if found.battery_capacity is None
+            else found.battery_capacity
+        ),
+    )

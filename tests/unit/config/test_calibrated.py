@@ -1,0 +1,77 @@
+"""A calibration gives a drone its true body, and its controller what it knows of it."""
+
+import numpy as np
+import pytest
+
+from crazychoir.config.calibrated import (
+    build_body,
+    compute_least_voltage,
+    find_known_platform,
+    find_thrust_factor,
+)
+from crazychoir.config.reader import read_table
+from crazychoir.config.tables import CalibrationTable, DroneTable
+from crazychoir.errors import ConfigError
+from crazychoir.platforms import CRAZYFLIE_21
+
+
+def make_drone(**keys):
+    found = read_table(keys, CalibrationTable, "swarm.toml")
+    return DroneTable(id=0, home=(0.0, 0.0, 0.0), platform="cf21", calibration=found)
+
+
+def test_a_drone_without_a_calibration_is_its_platform():
+    drone = make_drone()
+    assert build_body(drone) == CRAZYFLIE_21
+    assert find_known_platform(drone) == CRAZYFLIE_21
+    assert find_thrust_factor(drone) == 1.0
+
+
+def test_the_body_has_what_was_found_and_the_platform_what_was_not():
+    drone = make_drone(
+        rotor_lag=0.05,
+        rotor_delay=0.01,
+        speed_moment=[5e-4, 6e-4],
+        motor_factors=[1.02, 0.98, 1.01, 0.99],
+        battery_capacity=500.0,
+    )
+    body = build_body(drone)
+    assert body.rotor.lag == 0.05
+    assert body.effects.delay == 0.01
+    assert body.effects.speed_moment == (5e-4, 6e-4)
+    assert body.effects.motor_factors == (1.02, 0.98, 1.01, 0.99)
+    assert body.effects.rate_damping == (0.0, 0.0, 0.0)
+    assert body.battery.capacity == 500.0
+    assert body.battery.resistance == CRAZYFLIE_21.battery.resistance
+    assert body.drag == CRAZYFLIE_21.drag
+
+
+def test_the_controller_commands_the_thrust_that_makes_the_true_one():
+    """m v' = -m g + k u: with u = m/k (g + a), v' = a."""
+    k = 0.8
+    known = find_known_platform(make_drone(thrust_factor=k, drag=[0.01, 0.02, 0.03]))
+    assert k * known.weight == pytest.approx(CRAZYFLIE_21.weight)
+    np.testing.assert_allclose(np.array(known.drag) * k, [0.01, 0.02, 0.03])
+
+
+def test_a_worn_battery_raises_the_voltage_of_take_off():
+    fresh = find_known_platform(make_drone(battery_resistance=0.05))
+    worn = find_known_platform(make_drone(battery_resistance=0.35, thrust_factor=0.75))
+    assert fresh.battery.begin == CRAZYFLIE_21.battery.begin
+    assert worn.battery.begin > CRAZYFLIE_21.battery.begin
+    assert worn.battery.begin == pytest.approx(compute_least_voltage(worn))
+    current = worn.battery.hover_power / (worn.battery.begin - 1.0)
+    assert worn.battery.begin < 4.2 + 0.35 * current
+
+
+@pytest.mark.parametrize(
+    ("keys", "found"),
+    [
+        ({"thrust_factor": 5.0}, "thrust_factor"),
+        ({"motor_factors": [1.0, 1.0, 1.0]}, "motor_factors"),
+        ({"lag": 0.05}, "there is no such key"),
+    ],
+)
+def test_wrong_keys_and_values_are_refused(keys, found):
+    with pytest.raises(ConfigError, match=found):
+        make_drone(**keys)
