@@ -11,6 +11,7 @@ from crazychoir.cli.compute import simulate, solve
 from crazychoir.cli.fly import missions, run, virtual
 from crazychoir.cli.operate import dashboard, go_to, inspect, orders, param, task
 from crazychoir.cli.recordings import (
+    calibrate,
     convert,
     plot,
     record,
@@ -72,6 +73,7 @@ COMMANDS_BY_GROUP: dict[CommandGroup, dict[str, Callable[..., None]]] = {
         "rerun": rerun.rerun,
         "convert": convert.convert,
         "validate": validate.validate,
+        "calibrate": calibrate.calibrate,
     },
     CommandGroup.compute: {"solve": solve.solve, "simulate": simulate.simulate},
     CommandGroup.setup: {

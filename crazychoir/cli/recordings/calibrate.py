@@ -1,0 +1,235 @@
+"""crazychoir calibrate: identify a drone from recordings of its flights."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich import box
+from rich.table import Table
+
+from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.files.output_files import require_writable_file
+from crazychoir.launch.console import (
+    ANSWER_CONSOLE,
+    CommandOutputs,
+    exit_with_error,
+    set_up_logging,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from crazychoir.simulation.identification.calibration.estimate import Calibration
+    from crazychoir.simulation.identification.calibration.flight import (
+        CalibrationFlight,
+    )
+
+RECORDING_SUFFIX = ".mcap"
+"""Suffix of the recordings of `--record`."""
+CALIBRATION_KEY = "calibration"
+"""Key of a [[drones]] that is written."""
+SHORTEST_GOOD_FLIGHT = 30.0
+"""s: shorter flights are called short."""
+
+
+def calibrate(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RECORDING...",
+            help="Recordings of one drone: .mcap of --record, .npz, or .csv with named columns.",
+            show_default=False,
+        ),
+    ],
+    platform: Annotated[
+        str | None,
+        typer.Option(
+            help="Platform of the drone; else that of --swarm, or cf21.",
+            show_default=False,
+        ),
+    ] = None,
+    drone: Annotated[
+        int | None,
+        typer.Option(
+            help="Id of the drone in an .mcap of several.", show_default=False
+        ),
+    ] = None,
+    swarm: Annotated[
+        Path | None, typer.Option(help="Swarm file with the drone.", show_default=False)
+    ] = None,
+    i: Annotated[
+        int | None,
+        typer.Option("--id", help="Id of the drone in --swarm.", show_default=False),
+    ] = None,
+    write: Annotated[
+        bool,
+        typer.Option(
+            "--write",
+            help="Write it into --swarm; the rest of the file is unchanged.",
+        ),
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object, nothing else.")
+    ] = False,
+) -> None:
+    """Identify a drone from its flights.
+
+    Finds thrust, imbalance of the motors, trim, lag of the rotors, drag, moment of speed, damping, noise and battery,
+    each with its error. What the flights do not show stays as in the platform, and is said. Prints the table
+    [drones.calibration] for the swarm file.
+    """
+    set_up_logging()
+    from crazychoir.simulation.identification.calibration.estimate import (
+        calibrate as identify,
+    )
+
+    outputs = CommandOutputs()
+    try:
+        target = _find_target(swarm, i, write)
+        row = _find_platform(platform, swarm, i)
+        flights = [_read_flight(path, drone) for path in files]
+        found = identify(flights, row)
+        if target is not None and found.table:
+            from crazychoir.config.editing import write_keys
+
+            with outputs.writing("--write"):
+                write_keys(target, {i or 0: {CALIBRATION_KEY: found.table}})
+    except CrazyChoirError as error:
+        exit_with_error(error, as_json)
+    written = target is not None and bool(found.table) and not outputs.failed
+    if as_json:
+        write_json(
+            {
+                "success": not outputs.failed,
+                "platform": row.name,
+                "flights": [_describe_flight(flight) for flight in flights],
+                "parameters": _describe_parameters(found),
+                CALIBRATION_KEY: found.table,
+                "written": written,
+                **outputs.told,
+            }
+        )
+    else:
+        _show(found, flights, i, written)
+    outputs.say()
+    if outputs.failed:
+        raise typer.Exit(1)
+
+
+def _find_target(swarm: Path | None, i: int | None, write: bool) -> Path | None:
+    """Return the file to write; raise ConfigError unless it and the drone are named and it can be written."""
+    if (i is None) != (swarm is None):
+        raise ConfigError(
+            "--swarm, --id", "one of both", "both: the swarm file, and the drone in it"
+        )
+    if not write:
+        return None
+    if swarm is None:
+        raise ConfigError(
+            "--write", "no swarm file", "--swarm FILE and --id N: where to write"
+        )
+    require_writable_file(swarm, "--write")
+    return swarm
+
+
+def _find_platform(name: str | None, swarm: Path | None, i: int | None) -> Any:
+    """Return the platform of --platform, else of the drone in the swarm file, else cf21."""
+    from crazychoir.config.swarm_config import find_swarm
+    from crazychoir.platforms import find_platform
+
+    if swarm is not None and i is not None:
+        config, _ = find_swarm(str(swarm))
+        row = config.drone(i)
+        return find_platform(name or row.platform, "--platform")
+    return find_platform(name or "cf21", "--platform")
+
+
+def _read_flight(path: Path, drone: int | None) -> "CalibrationFlight":
+    """Return one flight, ready to calibrate with; raise ConfigError if it cannot be used."""
+    from crazychoir.simulation.identification.calibration.columns import read_columns
+    from crazychoir.simulation.identification.calibration.flight import make_flight
+
+    if path.suffix == RECORDING_SUFFIX:
+        from crazychoir.recording.flight_columns import read_flight_columns
+
+        return make_flight(path.stem, read_flight_columns(path, drone))
+    return make_flight(path.stem, read_columns(path))
+
+
+def _describe_flight(flight: "CalibrationFlight") -> dict[str, Any]:
+    notes = list(flight.notes)
+    if flight.seconds < SHORTEST_GOOD_FLIGHT:
+        notes.append(f"short: {flight.seconds:.0f} s can be used")
+    return {"name": flight.name, "seconds": flight.seconds, "notes": notes}
+
+
+def _describe_parameters(found: "Calibration") -> dict[str, Any]:
+    """Return the parameters for JSON; numbers that are not finite become null."""
+    from crazychoir.simulation.identification.calibration.estimate import (
+        PARAMETER_RULES,
+    )
+
+    return {
+        name: {
+            "value": one.value,
+            "unit": PARAMETER_RULES[name].unit,
+            "found": one.found if math.isfinite(one.found) else None,
+            "standard_error": one.deviation if math.isfinite(one.deviation) else None,
+            "default": one.default,
+            "identified": one.is_identified,
+            "from": PARAMETER_RULES[name].source,
+            "flights": one.flights,
+        }
+        for name, one in found.estimates.items()
+    }
+
+
+def _show(
+    found: "Calibration",
+    flights: "list[CalibrationFlight]",
+    i: int | None,
+    written: bool,
+) -> None:
+    ANSWER_CONSOLE.print(_build_table(found, len(flights)))
+    for flight in flights:
+        described = _describe_flight(flight)
+        for note in described["notes"]:
+            ANSWER_CONSOLE.print(f"{flight.name}: {note}", highlight=False)
+    left = [name for name, one in found.estimates.items() if not one.is_identified]
+    if left:
+        ANSWER_CONSOLE.print(
+            f"Too little excitation, or flights that disagree: {', '.join(left)} stay at their defaults. Fly steps "
+            "up and down for the lag, fast circles for drag and moment.",
+            highlight=False,
+        )
+    if written:
+        ANSWER_CONSOLE.print(f"Written: {CALIBRATION_KEY} of drone {i}.")
+        return
+    lines = [f"{key} = {value}" for key, value in found.table.items()]
+    text = "\n".join(["[drones.calibration]", *lines])
+    ANSWER_CONSOLE.print(text, markup=False, highlight=False)
+
+
+def _build_table(found: "Calibration", flights: int) -> Table:
+    """Build the table of parameters: value, error, default and source."""
+    from crazychoir.simulation.identification.calibration.estimate import (
+        PARAMETER_RULES,
+    )
+
+    title = f"{flights} flight{'s' * (flights > 1)}, platform {found.platform.name}"
+    table = Table(
+        "parameter",
+        title=title,
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        show_edge=False,
+    )
+    for heading in ("value", "± 2 s.e.", "default", "unit"):
+        table.add_column(heading, justify="right")
+    table.add_column("from")
+    for name, one in found.estimates.items():
+        rule = PARAMETER_RULES[name]
+        error = f"{2.0 * one.deviation:.2g}" if math.isfinite(one.deviation) else ""
+        value = f"{one.value:.4g}" if one.is_identified else "default"
+        table.add_row(name, value, error, f"{one.default:.4g}", rule.unit, rule.source)
+    return table
