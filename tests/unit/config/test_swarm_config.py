@@ -287,7 +287,7 @@ def test_the_reference_names_every_key_of_every_table() -> None:
     for heading, kind in tables.items():
         for entry in msgspec.structs.fields(kind):
             row = sections[heading]
-            assert f"| `{entry.name}` |" in row or f".{entry.name}]]` |" in row, (
+            assert f"| `{entry.name}` |" in row or f".{entry.name}]" in row, (
                 f"{heading} {entry.name}"
             )
 

@@ -18,6 +18,8 @@ BLOCK_ROWS = 200
 """Rows of a part that counts as independent of the others: 2 s."""
 LEAST_STRENGTH = 1e-10
 """Instruments count as dependent below this share of the largest eigenvalue of their products."""
+JACOBIAN_STEP = 0.02
+"""Step of the differences that give standard errors, in scales."""
 FEWEST_BLOCKS = 5
 """Least number of such parts for a standard error."""
 
@@ -74,45 +76,69 @@ def solve_linear(y: Vec, x: Mat, basis: Mat | None, block: Ints) -> IdentifiedVa
     return IdentifiedValues(values, _sandwich(inverse, z, y - x @ values, block))
 
 
+@dataclass(frozen=True, slots=True)
+class ParameterPriors:
+    """What is known of k parameters before a fit."""
+
+    expected: Vec
+    """(k,): first guesses, and expected values."""
+    deviations: Vec
+    """(k,): how far the true values may be from the expected ones; infinite for what is not known."""
+    smallest: Vec
+    """(k,): smallest values."""
+    largest: Vec
+    """(k,): largest values."""
+    scales: Vec
+    """(k,): typical values, by which the solver divides."""
+
+
 def solve_nonlinear(
     residual: Callable[[Vec], Vec],
-    start: Vec,
-    bounds: tuple[Vec, Vec],
-    scale: Vec,
+    priors: ParameterPriors,
     basis: Mat | None,
     block: Ints,
 ) -> IdentifiedValues:
     """Return the parameters with the least residuals in the space of the instruments.
 
-    residual: returns (n,) residuals for parameters (k,)
-    start: (k,): first guess, with its bounds and the typical scale of each parameter
-    basis: (n, m): orthonormal basis of the instruments; None: plain least squares
+        |Q^T e(x)|^2 / s^2 + sum_k ((x_k - expected_k) / deviation_k)^2   is least
+
+    residual: returns e (n,) for parameters x (k,)
+    basis: (n, m): Q, an orthonormal basis of the instruments; None: plain least squares
     block: (n,): number of the independent part of each row
     """
+    scales = priors.scales
+    noise = 1.0
 
     def project(x: Vec) -> Vec:
-        e = residual(x * scale)
-        return e if basis is None else np.asarray(basis.T @ e)
+        e = residual(x * scales) / noise
+        told = e if basis is None else basis.T @ e
+        known = (x * scales - priors.expected) / priors.deviations
+        return np.concatenate([told, known])
 
-    found = least_squares(
-        project,
-        start / scale,
-        bounds=(bounds[0] / scale, bounds[1] / scale),
-        diff_step=1e-3,
-        max_nfev=40,
-    )
-    values = found.x * scale
-    jacobian = np.empty((len(block), len(start)))
+    values = priors.expected
+    for _ in range(2):
+        noise = float(residual(values).std())
+        found = least_squares(
+            project,
+            values / scales,
+            bounds=(priors.smallest / scales, priors.largest / scales),
+            diff_step=1e-3,
+            max_nfev=40,
+        )
+        values = found.x * scales
     e = residual(values)
-    for k in range(len(start)):
-        step = 1e-3 * scale[k]
-        step = -step if values[k] + step > bounds[1][k] else step
+    jacobian = np.empty((len(block), len(values)))
+    for k in range(len(values)):
+        step = JACOBIAN_STEP * scales[k]
+        step = -step if values[k] + step > priors.largest[k] else step
         moved = values.copy()
         moved[k] += step
         jacobian[:, k] = (residual(moved) - e) / step
     z = jacobian if basis is None else basis @ (basis.T @ jacobian)
-    inverse: Mat = np.asarray(np.linalg.pinv(z.T @ jacobian), float)
-    return IdentifiedValues(values, _sandwich(inverse, z, e, block))
+    known = np.diag((noise / priors.deviations) ** 2)
+    inverse: Mat = np.asarray(np.linalg.pinv(z.T @ jacobian + known), float)
+    told = _sandwich(inverse, z, e, block)
+    return IdentifiedValues(values, told + noise**2 * inverse @ known @ inverse.T)
 
 
 def _sandwich(inverse: Mat, z: Mat, e: Vec, block: Ints) -> Mat:

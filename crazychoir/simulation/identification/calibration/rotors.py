@@ -1,6 +1,6 @@
 """Find the lag of the rotors from the vertical accelerometer."""
 
-from typing import NamedTuple
+import math
 
 import numpy as np
 from scipy.signal import butter, lfilter, lfilter_zi
@@ -8,6 +8,7 @@ from scipy.signal import butter, lfilter, lfilter_zi
 from crazychoir.simulation.identification.calibration.flight import CalibrationFlight
 from crazychoir.simulation.identification.calibration.instruments import (
     IdentifiedValues,
+    ParameterPriors,
     make_basis,
     number_blocks,
     shift_setpoint,
@@ -22,16 +23,17 @@ WHITENING_SHARE = 0.98
 """Share of the last residual that the next one is expected to have: slow forces do not decide."""
 
 
-class LagRules(NamedTuple):
-    """First guesses, limits and scales of lag (s), delay (s), phase, gain, drag (1/s) and bias (m/s2)."""
+LAG_PRIORS = ParameterPriors(
+    expected=np.array([0.06, 0.006, 0.3, 1.0, 0.4, 0.0]),
+    deviations=np.array([math.inf, 0.01, 0.3, math.inf, math.inf, math.inf]),
+    smallest=np.array([0.01, 0.0, 0.0, 0.3, -1.0, -20.0]),
+    largest=np.array([0.2, 0.06, 1.0, 3.0, 3.0, 20.0]),
+    scales=np.array([0.06, 0.02, 1.0, 1.0, 1.0, 1.0]),
+)
+"""What is known of lag (s), delay (s), phase, gain, drag (1/s) and bias (m/s2).
 
-    start: tuple[float, ...] = (0.06, 0.006, 0.3, 1.0, 0.4, 0.0)
-    smallest: tuple[float, ...] = (0.01, 0.0, 0.0, 0.3, -1.0, -20.0)
-    largest: tuple[float, ...] = (0.2, 0.06, 1.0, 3.0, 3.0, 20.0)
-    scale: tuple[float, ...] = (0.06, 0.02, 1.0, 1.0, 1.0, 1.0)
-
-
-LAG_RULES = LagRules()
+A smooth flight does not tell lag, delay and phase apart: delay and phase then stay near what is expected.
+"""
 ACC_FILTER = butter(2, 30.0, fs=1000.0)
 """Low-pass of the firmware for the accelerometer: 30 Hz."""
 
@@ -67,14 +69,7 @@ def estimate_lag(
             [shift_setpoint(flight.sp[:, 2:]), np.ones(len(thrust))]
         )
         basis = make_basis(_whiten(instruments)[chosen])
-    found = solve_nonlinear(
-        residual,
-        np.array(LAG_RULES.start),
-        (np.array(LAG_RULES.smallest), np.array(LAG_RULES.largest)),
-        np.array(LAG_RULES.scale),
-        basis,
-        number_blocks(chosen),
-    )
+    found = solve_nonlinear(residual, LAG_PRIORS, basis, number_blocks(chosen))
     order = [0, 1] if found.values[0] >= found.values[1] else [1, 0]
     return IdentifiedValues(found.values[order], found.covariance[np.ix_(order, order)])
 
@@ -105,10 +100,11 @@ def _hold(values: Vec, late: int) -> Vec:
 
 
 def _lag_fine(x: Vec, tau: float) -> Vec:
-    """Return x (m,), a value each 1 ms, behind a lag of first order."""
-    if tau <= 1e-4:
-        return x
-    a = np.exp(-FLIGHT_TIME_STEP / FINE_STEPS / tau)
+    """Return x (m,), a value each 1 ms, behind a lag of first order.
+
+    Its step response is late by tau exactly, also for a tau below 1 ms.
+    """
+    a = tau / (tau + FLIGHT_TIME_STEP / FINE_STEPS)
     return np.asarray(lfilter([1.0 - a], [1.0, -a], x, zi=[a * x[0]])[0])
 
 
