@@ -66,10 +66,19 @@ def test_the_calibration_of_a_simulated_drone_is_found_in_its_recording(here, tm
     )
     assert said.code == 0, said.err
     assert said.json["written"]
-    lag = said.json["parameters"]["rotor_lag"]
-    assert abs(lag["found"] - true.rotor_lag) < 2.0 * lag["standard_error"]
+    names = (
+        "thrust_factor",
+        "rotor_lag",
+        "drag_x",
+        "drag_y",
+        "moment_roll",
+        "moment_pitch",
+    )
+    values = (true.thrust_factor, true.rotor_lag, *true.drag[:2], *true.speed_moment)
+    for name, value in zip(names, values, strict=True):
+        one = said.json["parameters"][name]
+        assert abs(one["found"] - value) < 3.0 * one["standard_error"], name
     found = find_swarm(str(swarm))[0].drone(3).calibration
     assert found.thrust_factor == pytest.approx(true.thrust_factor, abs=0.01)
     assert found.drag[:2] == pytest.approx(true.drag[:2], rel=0.1)
-    assert found.speed_moment == pytest.approx(true.speed_moment, rel=0.1)
-    assert found.trim == pytest.approx((0.0, 0.0), abs=0.001)
+    assert found.speed_moment == pytest.approx(true.speed_moment, rel=0.2)
