@@ -65,19 +65,14 @@ class SettlingLimits:
     risen_distance: float = 0.04
     """m: a drone farther from its take-off goal has not completed its take-off."""
     settled_distance: float = 0.003
-    """m: distance from the take-off goal within which a drone counts as settled at first. A drone is
+    """m: distance from the take-off goal within which a drone counts as settled. A drone is
     settled when it stays this close, slower than `settled_speed`, for `settled_time`. Its
     thrust trim is then known to about 0.1 %.
     """
     settled_speed: float = 0.02
-    """m/s: speed below which a drone counts as settled at first."""
+    """m/s: speed below which a drone counts as settled."""
     settled_time: float = 0.3
     """s: how long a drone must stay close and slow to count as settled."""
-    unrest_time: float = 1.0
-    """s: after this time both limits are doubled, after twice this time they are five times as wide.
-
-    The air moves a real drone by 1 to 2 cm: it is never as still as a perfect one.
-    """
     patience: float = 5.0
     """s: how long a mission waits for a drone to settle."""
 
@@ -181,28 +176,21 @@ async def wait_until_ready(member: Member) -> None:
 async def wait_until_settled(member: Member, goal: Vec) -> None:
     """Wait, within SETTLING_LIMITS, until the drone has stood still at the goal for a while.
 
-        |p - goal| < d (1 + (t / T)^2),   |v| < s (1 + (t / T)^2)
-
     Its control has then learnt its thrust and its trim.
-    t: s: time waited
-    d, s, T: settled_distance, settled_speed and unrest_time
     """
     clock = member.clock
     pilot = member.pilot
     stood = 0
-    begins = clock.now()
-    ends = begins + SETTLING_LIMITS.patience
+    ends = clock.now() + SETTLING_LIMITS.patience
     while (
         pilot.mode in FLYING_MODES
         and clock.now() < ends
         and stood * FLIGHT_LOOK_INTERVAL < SETTLING_LIMITS.settled_time
     ):
         state = get_state(member)
-        waited = (clock.now() - begins) / SETTLING_LIMITS.unrest_time
-        growth = 1.0 + waited * waited
         there = (
-            np.linalg.norm(state.p - goal) < growth * SETTLING_LIMITS.settled_distance
-            and np.linalg.norm(state.v) < growth * SETTLING_LIMITS.settled_speed
+            np.linalg.norm(state.p - goal) < SETTLING_LIMITS.settled_distance
+            and np.linalg.norm(state.v) < SETTLING_LIMITS.settled_speed
         )
         stood = stood + 1 if there else 0
         await member.clock.sleep(FLIGHT_LOOK_INTERVAL, drone=member.id)

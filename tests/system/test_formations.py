@@ -239,7 +239,8 @@ def test_followers_of_leaders_on_a_drawn_circle_end_in_their_places():
 
 @pytest.mark.parametrize("edges", ["static", "random"])
 def test_containment_ends_among_the_leaders(edges):
-    result = flown("containment", mission_options={"edges": edges})
+    """Markers that are mounted 0.3 degrees askew push a drone that follows a law 1 cm aside: here they are not."""
+    result = flown("containment", mission_options={"edges": edges}, mocap=STRAIGHT)
     assert result["success"], result["reasons"]
     assert result["outside_m"] <= 0.02
     if edges == "static":

@@ -33,6 +33,7 @@ def test_it_neither_sinks_nor_rises_as_it_has_learnt_its_thrust_before(
         mission=str(path),
         graph="empty",
         plant={"thrust_error": thrust_error, "command_delay": 0.02},
+        motors={"imperfections": 0.0},
         drones=[{"id": 0, "home": [0.0, 0.0, 0.0], "uri": uri, "platform": "cf21"}],
     )
     result = fly_fast(config, load_mission(str(path)))

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.files.output_files import require_writable_file
+from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
     ANSWER_CONSOLE,
     CommandOutputs,
@@ -49,17 +50,13 @@ def calibrate(
         ),
     ] = None,
     drone: Annotated[
-        int | None,
-        typer.Option(
-            help="Id of the drone in an .mcap of several.", show_default=False
-        ),
+        int | None, options.drone("Id of the drone in an .mcap of several.")
     ] = None,
     swarm: Annotated[
         Path | None, typer.Option(help="Swarm file with the drone.", show_default=False)
     ] = None,
     i: Annotated[
-        int | None,
-        typer.Option("--id", help="Id of the drone in --swarm.", show_default=False),
+        int | None, options.drone("Id of the drone in --swarm.", "--id")
     ] = None,
     write: Annotated[
         bool,

@@ -16,6 +16,11 @@ from crazychoir.radio.protocol.crtp import (
     CrtpPort,
     Packet,
 )
+from crazychoir.radio.protocol.receive_buffer import (
+    FirmwareAssertion,
+    ReceiveBuffer,
+    check_sent,
+)
 from crazychoir.radio.virtual.console import FirmwareConsole
 from crazychoir.radio.virtual.flight import FlightService, VersionService
 from crazychoir.radio.virtual.logs import LogService
@@ -24,11 +29,6 @@ from crazychoir.radio.virtual.parameter_effects import WriteEffects
 from crazychoir.radio.virtual.parameters import ParameterService
 from crazychoir.radio.virtual.power import PowerManagement
 from crazychoir.radio.virtual.readings import make_readings
-from crazychoir.radio.virtual.receiver import (
-    FirmwareAssertion,
-    ReceiveBuffer,
-    check_sent,
-)
 from crazychoir.radio.virtual.tables import tables_of
 from crazychoir.simulation.onboard.commander import SETPOINT_PRIORITIES
 from crazychoir.simulation.onboard.logs import FIRMWARE_LOG_READERS

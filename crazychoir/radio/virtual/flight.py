@@ -23,12 +23,12 @@ from crazychoir.radio.protocol.crtp import (
     Packet,
     PacketForm,
 )
+from crazychoir.radio.protocol.receive_buffer import FirmwareAssertion, ReceivedPacket
 from crazychoir.radio.virtual.commands import (
     COMMAND_FUNCTIONS,
     PACKET_UNITS,
     apply_manual,
 )
-from crazychoir.radio.virtual.receiver import FirmwareAssertion, ReceivedPacket
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.record import YAW_MODES
 from crazychoir.simulation.onboard.units import FULL_THRUST_COMMAND

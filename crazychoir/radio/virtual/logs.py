@@ -9,7 +9,7 @@ from operator import itemgetter
 from crazychoir.firmware.requests import LOG_CHANNELS, BlockCommand
 from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
-from crazychoir.radio.virtual.receiver import ReceivedPacket
+from crazychoir.radio.protocol.receive_buffer import ReceivedPacket
 from crazychoir.radio.virtual.toc import (
     LOG_TYPES,
     STRUCT_LETTERS,

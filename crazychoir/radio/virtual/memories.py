@@ -7,7 +7,7 @@ from typing import Protocol
 from crazychoir.firmware.memories import MEMORY_KINDS, MEMORY_PACKETS, MEMORY_SIZES
 from crazychoir.firmware.results import FIRMWARE_RESULTS
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
-from crazychoir.radio.virtual.receiver import FirmwareAssertion, ReceivedPacket
+from crazychoir.radio.protocol.receive_buffer import FirmwareAssertion, ReceivedPacket
 from crazychoir.simulation.onboard.onboard import Onboard
 
 DECK_MEMORY_VERSION = 3

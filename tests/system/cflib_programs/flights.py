@@ -46,7 +46,7 @@ class Watched:
         """m, since the start."""
         return [b - a for a, b in zip(self.home, self.p, strict=True)]
 
-    def is_at(self, x, y, z, by=0.08):
+    def is_at(self, x, y, z, by=0.12):
         assert math.dist(self.moved, (x, y, z)) < by, (self.moved, (x, y, z))
 
 

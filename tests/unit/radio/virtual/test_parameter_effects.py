@@ -105,22 +105,11 @@ def test_the_console_says_what_parameters_ask_for():
         assert hangar.drone.parameters.read(name) == 0.0
     write(hangar, "system.storageReformat", 1)
     assert hangar.drone.kept.parameters == {}
-    hangar.drone.restart("a test")
+    hangar.drone.fail_assertion("a test")
     hangar.run(1.1)
     read_console(hangar)
     write(hangar, "system.assertInfo", 1)
     assert read_console(hangar) == "SYS: an assertion has failed\n"
-
-
-def test_the_errors_of_the_memory_tester_are_counted_anew():
-    hangar = Hangar().run(0.1)
-    wrong = Packet(CrtpPort.MEMORY, 2, b"\3\0\0\0\0\7")
-    right = Packet(CrtpPort.MEMORY, 2, b"\3\0\0\0\0\0")
-    list(hangar.drone.take(wrong))
-    assert hangar.log("memTst.errCntW") == 1.0
-    write(hangar, "memTst.resetW", 1)
-    list(hangar.drone.take(right))
-    assert hangar.log("memTst.errCntW") == 0.0
 
 
 def test_decks_measure_unless_a_parameter_forbids_it():
