@@ -87,7 +87,7 @@ def swarm(name, **mocap):
         {
             "name": name,
             "drones": drones,
-            "mocap": {"noise": 0.0, "noise_angle": 0.0, **mocap},
+            "mocap": {"noise": 0.0, "noise_angle": 0.0, "tilt_spread": 0.0, **mocap},
         }
     )
     return config.replace(base_port=free_ports(list(Addresses(config).endpoints())))
