@@ -4,7 +4,7 @@ Controllers, simulated plants and radios read them.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -108,7 +108,8 @@ class Battery:
 class BodyEffects:
     """Effects on the body that recorded flights show and a wrench of ideal rotors lacks.
 
-    The defaults change nothing; the table [motors] of a swarm file has typical values.
+    None is an effect that is not known of a drone: its body has none, or in a swarm file's worlds what
+    the table [motors] says is typical.
 
         tau += (speed_moment[0] a_y, -speed_moment[1] a_x, 0) - rate_damping w
 
@@ -117,14 +118,27 @@ class BodyEffects:
     Source: found in 77 flights of a Crazyflie 2.1 (NanoBench, Ullah & Baca, arXiv 2603.09908).
     """
 
-    speed_moment: tuple[float, float] = (0.0, 0.0)
+    speed_moment: tuple[float, float] | None = None
     """N m per m/s, about x and y."""
-    motor_factors: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    motor_factors: tuple[float, float, float, float] | None = None
     """Share of the platform's thrust that motors 1 to 4 make at the same command."""
-    rate_damping: Three = (0.0, 0.0, 0.0)
+    rate_damping: Three | None = None
     """N m per rad/s, body axes."""
-    delay: float = 0.0
+    delay: float | None = None
     """s: time constant of a lag between the commands and the rotors, in series with the rotors' own lag."""
+
+    def filled(self, other: "BodyEffects") -> "BodyEffects":
+        """Return these effects, with those of another where they are not known."""
+        known = {name: getattr(self, name) for name in EFFECT_NAMES}
+        return replace(
+            other, **{name: one for name, one in known.items() if one is not None}
+        )
+
+
+EFFECT_NAMES = tuple(field.name for field in fields(BodyEffects))
+"""Names of the effects."""
+EVEN_MOTORS = (1.0, 1.0, 1.0, 1.0)
+"""Factors of motors that do not differ."""
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 
 from crazychoir.config.tables import CalibrationTable, DroneTable
+from crazychoir.errors import ConfigError
 from crazychoir.platforms import Battery, BodyEffects, Platform, find_platform
 
 CONTROL_RESERVE = 1.3
 """Thrust over that of hover that a battery must allow at take-off."""
+FULL_MARGIN = 0.05
+"""V: what a full battery has lost when its drone is ready to take off."""
 LARGEST_VOLTAGE = 5.0
 """V: largest voltage that is searched for a thrust."""
 
@@ -20,7 +23,6 @@ def build_body(drone: DroneTable) -> Platform:
     """
     row = find_platform(drone.platform)
     found = drone.calibration
-    effects = row.effects
     return replace(
         row,
         drag=row.drag if found.drag is None else found.drag,
@@ -31,11 +33,11 @@ def build_body(drone: DroneTable) -> Platform:
         ),
         battery=_build_battery(row.battery, found),
         effects=BodyEffects(
-            speed_moment=found.speed_moment or effects.speed_moment,
-            motor_factors=found.motor_factors or effects.motor_factors,
-            rate_damping=found.rate_damping or effects.rate_damping,
-            delay=effects.delay if found.rotor_delay is None else found.rotor_delay,
-        ),
+            speed_moment=found.speed_moment,
+            motor_factors=found.motor_factors,
+            rate_damping=found.rate_damping,
+            delay=found.rotor_delay,
+        ).filled(row.effects),
     )
 
 
@@ -50,8 +52,10 @@ def find_known_platform(drone: DroneTable) -> Platform:
 
         m v' = -m g e3 + k u R e3 - A v   is   m/k v' = -m/k g e3 + u R e3 - A/k v
 
-    With the thrust factor k, a controller for m/k and A/k gives the right thrusts u. A calibrated battery raises the
-    voltage below which the drone does not take off, if it would sag too far.
+    With the thrust factor k, a controller for m/k and A/k gives the right thrusts u. Two lags in series are taken for
+    one of their sum. A weak thrust or battery raises the voltage below which the drone does not take off.
+
+    Raises ConfigError if the drone could not take off with a full battery.
     """
     row = build_body(drone)
     k = find_thrust_factor(drone)
@@ -60,13 +64,20 @@ def find_known_platform(drone: DroneTable) -> Platform:
     known = replace(
         row,
         mass=row.mass / k,
+        rotor=replace(row.rotor, lag=row.rotor.lag + (row.effects.delay or 0.0)),
         drag=(x / k, y / k, z / k),
         battery=replace(battery, hover_power=battery.hover_power * k**-1.5),
     )
-    found = drone.calibration
-    if found.battery_resistance is None:
+    if drone.calibration == CalibrationTable():
         return known
     begin = max(battery.begin, compute_least_voltage(known))
+    if begin > battery.full - FULL_MARGIN:
+        raise ConfigError(
+            f"drone {drone.id}: calibration",
+            f"thrust_factor and battery_resistance that need {begin:.2f} V at take-off",
+            f"at most {battery.full - FULL_MARGIN:.2f} V, what a full battery has",
+            "Calibrate again, or give the drone another battery.",
+        )
     return replace(known, battery=replace(known.battery, begin=begin))
 
 

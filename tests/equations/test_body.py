@@ -81,8 +81,9 @@ def wrench(p, v, r, w, f, goal, platform=P, wind=WIND, push=PUSH, twist=TWIST):
     spin = np.array([0, 0, platform.rotor.inertia * TURNS @ speed])
     effects = platform.effects
     x, y, _ = r.T @ (v - wind)
-    lifted = np.array([effects.speed_moment[0] * y, -effects.speed_moment[1] * x, 0.0])
-    damped = np.array(effects.rate_damping) * w
+    about_x, about_y = effects.speed_moment or (0.0, 0.0)
+    lifted = np.array([about_x * y, -about_y * x, 0.0])
+    damped = np.array(effects.rate_damping or (0.0, 0.0, 0.0)) * w
     return force, torque - np.cross(w, spin) + twist + lifted - damped
 
 
@@ -177,7 +178,6 @@ def test_motors_make_their_share_of_the_thrust_after_their_delay():
 
 def test_the_effects_that_flights_show_are_off_for_every_platform():
     assert {row.effects for row in PLATFORM_BY_NAME.values()} == {BodyEffects()}
-    assert BodyEffects().motor_factors == (1.0, 1.0, 1.0, 1.0)
     for platform in PLATFORM_BY_NAME.values():
         constants = lanes.compute_constants(platform, 0.001, True)
         assert constants[lanes.DELAY_DECAY] == 0.0

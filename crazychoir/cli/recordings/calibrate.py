@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 RECORDING_SUFFIX = ".mcap"
 """Suffix of the recordings of `--record`."""
+TRIM_KEY = "trim"
+"""Key of a calibration that corrects poses."""
 CALIBRATION_KEY = "calibration"
 """Key of a [[drones]] that is written."""
 SHORTEST_GOOD_FLIGHT = 30.0
@@ -72,8 +74,8 @@ def calibrate(
     """Identify a drone from its flights.
 
     Finds thrust, imbalance of the motors, trim, lag of the rotors, drag, moment of speed, damping, noise and battery,
-    each with its error. What the flights do not show stays as in the platform, and is said. Prints the table
-    [drones.calibration] for the swarm file.
+    each with its error. What the flights do not show stays as it was, and is said. Prints the key `calibration` of a
+    [[drones]] of the swarm file.
     """
     set_up_logging()
     from crazychoir.simulation.identification.calibration.estimate import (
@@ -86,11 +88,12 @@ def calibrate(
         row = _find_platform(platform, swarm, i)
         flights = [_read_flight(path, drone) for path in files]
         found = identify(flights, row)
+        table = _merge_tables(_find_known(swarm, i), found.table, files)
         if target is not None and found.table:
             from crazychoir.config.editing import write_keys
 
             with outputs.writing("--write"):
-                write_keys(target, {i or 0: {CALIBRATION_KEY: found.table}})
+                write_keys(target, {i or 0: {CALIBRATION_KEY: table}})
     except CrazyChoirError as error:
         exit_with_error(error, as_json)
     written = target is not None and bool(found.table) and not outputs.failed
@@ -101,13 +104,14 @@ def calibrate(
                 "platform": row.name,
                 "flights": [_describe_flight(flight) for flight in flights],
                 "parameters": _describe_parameters(found),
-                CALIBRATION_KEY: found.table,
+                CALIBRATION_KEY: table,
                 "written": written,
                 **outputs.told,
             }
         )
     else:
-        _show(found, flights, i, written)
+        _show(found, flights)
+        _show_table(table, i, written)
     outputs.say()
     if outputs.failed:
         raise typer.Exit(1)
@@ -181,12 +185,39 @@ def _describe_parameters(found: "Calibration") -> dict[str, Any]:
     }
 
 
-def _show(
-    found: "Calibration",
-    flights: "list[CalibrationFlight]",
-    i: int | None,
-    written: bool,
-) -> None:
+def _find_known(swarm: Path | None, i: int | None) -> dict[str, Any]:
+    """Return what the swarm file has of the drone's calibration, without keys that it leaves out."""
+    from msgspec import to_builtins
+
+    from crazychoir.config.swarm_config import find_swarm
+
+    if swarm is None or i is None:
+        return {}
+    config, _ = find_swarm(str(swarm))
+    known = to_builtins(config.drone(i).calibration)
+    return {name: value for name, value in known.items() if value is not None}
+
+
+def _merge_tables(
+    known: dict[str, Any], found: dict[str, Any], files: list[Path]
+) -> dict[str, Any]:
+    """Return what is known with what was found.
+
+    A known trim stays if the flights are recordings of ours: their poses are corrected by it.
+
+    Raises ConfigError if a value is outside what a swarm file may have.
+    """
+    from crazychoir.config.reader import read_table
+    from crazychoir.config.tables import CalibrationTable
+
+    table = known | found
+    if TRIM_KEY in known and any(path.suffix == RECORDING_SUFFIX for path in files):
+        table[TRIM_KEY] = known[TRIM_KEY]
+    read_table(table, CalibrationTable, CALIBRATION_KEY)
+    return table
+
+
+def _show(found: "Calibration", flights: "list[CalibrationFlight]") -> None:
     ANSWER_CONSOLE.print(_build_table(found, len(flights)))
     for flight in flights:
         described = _describe_flight(flight)
@@ -199,12 +230,17 @@ def _show(
             "up and down for the lag, fast circles for drag and moment.",
             highlight=False,
         )
+
+
+def _show_table(table: dict[str, Any], i: int | None, written: bool) -> None:
+    """Say that the table is written, or print the key as it is written."""
     if written:
         ANSWER_CONSOLE.print(f"Written: {CALIBRATION_KEY} of drone {i}.")
-        return
-    lines = [f"{key} = {value}" for key, value in found.table.items()]
-    text = "\n".join(["[drones.calibration]", *lines])
-    ANSWER_CONSOLE.print(text, markup=False, highlight=False)
+    elif table:
+        text = ", ".join(f"{key} = {value}" for key, value in table.items())
+        ANSWER_CONSOLE.print(
+            f"{CALIBRATION_KEY} = {{ {text} }}", markup=False, highlight=False
+        )
 
 
 def _build_table(found: "Calibration", flights: int) -> Table:

@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
+from crazychoir.config.calibrated import find_known_platform
 from crazychoir.config.checks import WORLD_URIS
 from crazychoir.config.shared_values import share
 from crazychoir.config.swarm_config import SwarmConfig
@@ -37,7 +38,6 @@ from crazychoir.guidance.mission_options import (
     require_each,
 )
 from crazychoir.guidance.mission_report import Results, describe_distances
-from crazychoir.platforms import find_platform
 from crazychoir.types import Vec
 
 HOVER_BEFORE_LAW = 4.0
@@ -211,7 +211,7 @@ class BearingHooks(FormationHooks[BearingOptions]):
 
     def _chain(self, config: SwarmConfig) -> AccelerationChain:
         """Return the dynamics between law and drone, for the drone with the slowest rotors."""
-        platforms = [find_platform(drone.platform) for drone in config.drones]
+        platforms = [find_known_platform(drone) for drone in config.drones]
         slowest = max(platforms, key=lambda platform: platform.rotor.lag)
         if have_rate_loops(config):
             return AccelerationChain.of_motors(self.gains(config), slowest)

@@ -40,10 +40,10 @@ BATTERY_RULES = BatteryRules()
 
 
 class PowerManagement:
-    """Decides whether the battery is low, or so low that the drone shuts down.
+    """Decides whether the battery is low, or critical: a real drone would shut down, this one logs pm.state.
 
-    It is low after `BATTERY_RULES.low_time` below `low` V. The drone shuts down after this time
-    below `critical` V.
+    It is low after `BATTERY_RULES.low_time` below `low` V. It is critical after this time below
+    `critical` V.
     """
 
     def __init__(self) -> None:

@@ -53,6 +53,9 @@ REFERENCE_BAND_STYLE: dict[str, Any] = {
 }
 """Style of a broad band below the line of what was flown."""
 
+SHORTEST_AXIS = 0.1
+"""s: shortest time axis; a recording that was cut off early may have one moment only."""
+
 
 def draw(pictures: Pictures, folder: Path) -> list[Path]:
     """Write these pictures into `folder`; return their files."""
@@ -167,8 +170,8 @@ def _draw_separation(figure: "Figure", flight: RecordedFlight) -> None:
 
 
 def set_time_axis(axes: Any, last: float, label: str) -> None:
-    """Set up the time axis from 0 to `last` s, and the label of the other axis."""
-    axes.set_xlim(0.0, last)
+    """Set up the time axis from 0 to `last` s, or to SHORTEST_AXIS, and the label of the other axis."""
+    axes.set_xlim(0.0, max(last, SHORTEST_AXIS))
     axes.set_xlabel("$t$ [s]")
     axes.set_ylabel(label)
 

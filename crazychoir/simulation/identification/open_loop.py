@@ -6,7 +6,7 @@ from enum import StrEnum
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from crazychoir.platforms import Platform
+from crazychoir.platforms import EVEN_MOTORS, Platform
 from crazychoir.simulation.identification.flights import (
     FLIGHT_TIME_STEP,
     RealFlight,
@@ -115,7 +115,7 @@ def predict_plant(
         inputs.ceilings[flight, windows.rows],
         windows.starts,
         plant.rotors[windows.flight, windows.start] * trims.thrust[:, None],
-        trims.thrust[:, None] * np.array(platform.effects.motor_factors),
+        trims.thrust[:, None] * np.array(platform.effects.motor_factors or EVEN_MOTORS),
         trims.offsets * np.array(platform.inertia),
         states,
     )

@@ -43,24 +43,23 @@ class Imperfections:
     def apply(self, platform: Platform, seed: int, drone: int) -> Platform:
         """Return the body of a drone with these imperfections.
 
-        A platform with effects of its own, which were identified, keeps them.
+        What is known of the drone stays. The motors differ, but together they have the platform's thrust.
         seed: of the factors of the motors, which are functions of (seed, drone)
         """
         if self.worn_battery:
             platform = replace(platform, battery=wear(platform.battery))
-        if platform.effects != BodyEffects():
-            return platform
         key = derive_stream_key(seed, RANDOM_STREAMS.motor_factors, drone)
-        first, second, third, fourth = (
-            1.0 + self.imbalance * draw_uniform(key, motor) for motor in range(4)
-        )
+        drawn = [1.0 + self.imbalance * draw_uniform(key, motor) for motor in range(4)]
+        first, second, third, fourth = (4.0 * one / sum(drawn) for one in drawn)
         x, y, _ = platform.inertia
         return replace(
             platform,
-            effects=BodyEffects(
-                speed_moment=(self.speed_moment * x, self.speed_moment * y),
-                motor_factors=(first, second, third, fourth),
-                rate_damping=(self.rate_damping * x, self.rate_damping * y, 0.0),
+            effects=platform.effects.filled(
+                BodyEffects(
+                    speed_moment=(self.speed_moment * x, self.speed_moment * y),
+                    motor_factors=(first, second, third, fourth),
+                    rate_damping=(self.rate_damping * x, self.rate_damping * y, 0.0),
+                )
             ),
         )
 

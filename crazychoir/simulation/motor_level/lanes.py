@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from crazychoir.numerics.kernels import kernel
 from crazychoir.numerics.math3d import clip
-from crazychoir.platforms import Platform
+from crazychoir.platforms import EVEN_MOTORS, Platform
 from crazychoir.types import Mat, Vec
 
 Number = TypeVar("Number", np.float64, np.uint64)
@@ -204,6 +204,10 @@ def compute_constants(
     cell = platform.battery
     hover = platform.weight / 4.0
     effects = platform.effects
+    factors = effects.motor_factors or EVEN_MOTORS
+    moment = effects.speed_moment or (0.0, 0.0)
+    damping = effects.rate_damping or (0.0, 0.0, 0.0)
+    delay = effects.delay or 0.0
     return {
         BODY_MASS: platform.mass,
         INERTIA_X: platform.inertia[0],
@@ -229,16 +233,16 @@ def compute_constants(
         GROUND_EFFECT_AREA: (0.25 * rotor.radius) ** 2 if ground_effect else 0.0,
         LARGEST_THRUST: platform.firmware.thrust_max,
         SMALLEST_THRUST: platform.firmware.thrust_min,
-        MOTOR_FACTOR_1: effects.motor_factors[0],
-        MOTOR_FACTOR_2: effects.motor_factors[1],
-        MOTOR_FACTOR_3: effects.motor_factors[2],
-        MOTOR_FACTOR_4: effects.motor_factors[3],
-        DELAY_DECAY: math.exp(-h / effects.delay) if effects.delay > 0.0 else 0.0,
-        SPEED_MOMENT_X: effects.speed_moment[0],
-        SPEED_MOMENT_Y: effects.speed_moment[1],
-        RATE_DAMPING_X: effects.rate_damping[0],
-        RATE_DAMPING_Y: effects.rate_damping[1],
-        RATE_DAMPING_Z: effects.rate_damping[2],
+        MOTOR_FACTOR_1: factors[0],
+        MOTOR_FACTOR_2: factors[1],
+        MOTOR_FACTOR_3: factors[2],
+        MOTOR_FACTOR_4: factors[3],
+        DELAY_DECAY: math.exp(-h / delay) if delay > 0.0 else 0.0,
+        SPEED_MOMENT_X: moment[0],
+        SPEED_MOMENT_Y: moment[1],
+        RATE_DAMPING_X: damping[0],
+        RATE_DAMPING_Y: damping[1],
+        RATE_DAMPING_Z: damping[2],
         CELL_FULL_VOLTAGE: cell.full,
         CELL_EMPTY_VOLTAGE: cell.empty,
         CELL_RESISTANCE: cell.resistance,

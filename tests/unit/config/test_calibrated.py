@@ -40,7 +40,7 @@ def test_the_body_has_what_was_found_and_the_platform_what_was_not():
     assert body.effects.delay == 0.01
     assert body.effects.speed_moment == (5e-4, 6e-4)
     assert body.effects.motor_factors == (1.02, 0.98, 1.01, 0.99)
-    assert body.effects.rate_damping == (0.0, 0.0, 0.0)
+    assert body.effects.rate_damping is None
     assert body.battery.capacity == 500.0
     assert body.battery.resistance == CRAZYFLIE_21.battery.resistance
     assert body.drag == CRAZYFLIE_21.drag
@@ -56,12 +56,25 @@ def test_the_controller_commands_the_thrust_that_makes_the_true_one():
 
 def test_a_worn_battery_raises_the_voltage_of_take_off():
     fresh = find_known_platform(make_drone(battery_resistance=0.05))
-    worn = find_known_platform(make_drone(battery_resistance=0.35, thrust_factor=0.75))
+    worn = find_known_platform(make_drone(battery_resistance=0.25, thrust_factor=0.75))
     assert fresh.battery.begin == CRAZYFLIE_21.battery.begin
     assert worn.battery.begin > CRAZYFLIE_21.battery.begin
     assert worn.battery.begin == pytest.approx(compute_least_voltage(worn))
-    current = worn.battery.hover_power / (worn.battery.begin - 1.0)
-    assert worn.battery.begin < 4.2 + 0.35 * current
+    assert worn.battery.begin < CRAZYFLIE_21.battery.full
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [{"battery_resistance": 0.35, "thrust_factor": 0.75}, {"thrust_factor": 0.3}],
+)
+def test_a_drone_that_could_not_take_off_with_a_full_battery_is_refused(keys):
+    with pytest.raises(ConfigError, match=r"drone 0: calibration.*at most 4.15 V"):
+        find_known_platform(make_drone(**keys))
+
+
+def test_the_controller_takes_two_lags_for_one_of_their_sum():
+    known = find_known_platform(make_drone(rotor_lag=0.06, rotor_delay=0.012))
+    assert known.rotor.lag == pytest.approx(0.072)
 
 
 @pytest.mark.parametrize(

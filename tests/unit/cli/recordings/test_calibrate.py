@@ -39,7 +39,7 @@ def swarm(tmp_path):
 def test_the_table_shows_values_errors_and_what_stays_at_its_default(calibrate):
     done = calibrate(FLIGHT)
     assert done.exit_code == 0
-    for words in ("thrust_factor", "± 2 s.e.", "rotor_lag", "[drones.calibration]"):
+    for words in ("thrust_factor", "± 2 s.e.", "rotor_lag", "calibration = {"):
         assert words in done.stdout
     assert "stay at" in done.stdout
 

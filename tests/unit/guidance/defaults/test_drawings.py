@@ -35,4 +35,4 @@ def test_a_word_that_is_not_flown_as_it_was_drawn_is_no_success():
     ):
         report = mission.report(config, {0: {"way": wrong}})
         assert report["success"] is False
-        assert "from its drawing, allowed 30 mm" in report["reasons"][0]
+        assert "from its drawing, allowed 60 mm" in report["reasons"][0]
