@@ -30,7 +30,7 @@ def test_a_word_that_is_not_flown_as_it_was_drawn_is_no_success():
     assert good["written_mm"][0] < 15.0
     for wrong in (
         rows[: len(rows) // 2],
-        [[t, x, y + 0.05, z] for t, x, y, z in rows],
+        [[t, x, y + 0.1, z] for t, x, y, z in rows],
         [],
     ):
         report = mission.report(config, {0: {"way": wrong}})
