@@ -239,7 +239,10 @@ def _show_table(table: dict[str, Any], i: int | None, written: bool) -> None:
     elif table:
         text = ", ".join(f"{key} = {value}" for key, value in table.items())
         ANSWER_CONSOLE.print(
-            f"{CALIBRATION_KEY} = {{ {text} }}", markup=False, highlight=False
+            f"{CALIBRATION_KEY} = {{ {text} }}",
+            markup=False,
+            highlight=False,
+            soft_wrap=True,
         )
 
 

@@ -1,6 +1,7 @@
 """`crazychoir calibrate` on a real flight: table, JSON, swarm file and errors."""
 
 import json
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,25 @@ def test_the_table_shows_values_errors_and_what_stays_at_its_default(calibrate):
     for words in ("thrust_factor", "± 2 s.e.", "rotor_lag", "calibration = {"):
         assert words in done.stdout
     assert "stay at" in done.stdout
+
+
+def test_the_printed_key_can_be_pasted_into_a_swarm_file(calibrate):
+    printed = calibrate(FLIGHT).stdout.splitlines()[-1]
+    assert tomllib.loads(printed)["calibration"]["thrust_factor"] < 0.75
+
+
+def test_a_second_calibration_keeps_what_it_does_not_find(calibrate, tmp_path):
+    path = tmp_path / "swarm.toml"
+    path.write_text(
+        'name = "a"\n\n[[drones]]\nid = 3\nhome = [0.0, 0.0, 0.0]\nplatform = "cf21"\n'
+        "calibration = { rotor_lag = 0.06, thrust_factor = 0.9 }\n"
+    )
+    assert (
+        calibrate(FLIGHT, "--swarm", str(path), "--id", "3", "--write").exit_code == 0
+    )
+    (drone,) = tomllib.loads(path.read_text())["drones"]
+    assert drone["calibration"]["rotor_lag"] == 0.06
+    assert drone["calibration"]["thrust_factor"] < 0.75
 
 
 def test_the_answer_has_each_parameter_with_its_error_and_source(calibrate):
