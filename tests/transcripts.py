@@ -86,7 +86,7 @@ PARAM = (
     ("the extended type of what there is not", "2f 07 ff 7f", ["2f 07 ff 7f 02"]),
     ("its default, of version 2", "2f 08 10 00", ["2f 08 10 00 00 00"]),
     ("its default, of version 1", "2f 06 10 00", ["2f 06 10 00 00"]),
-    ("store one that is not persistent", "2f 03 10 00", ["2f 03 10 00 02"]),
+    ("store a parameter that is not persistent", "2f 03 10 00", ["2f 03 10 00 02"]),
     ("its state: not stored, and the default", "2f 04 10 00", ["2f 04 10 00 00 00"]),
     (
         "set by name",
@@ -99,7 +99,7 @@ PARAM = (
         ["2f 00 6c 65 64 00 62 69 74 6d 61 73 6b 00 16"],
     ),
     (
-        "by name, one that is read-only",
+        "a read-only parameter by name",
         "2f 00 63 70 75 00 66 6c 61 73 68 00 09 01 00",
         ["2f 00 63 70 75 00 66 6c 61 73 68 00 0d"],
     ),
@@ -195,12 +195,12 @@ HIGH_LEVEL = (
     ("define a trajectory", "8c 06 01 01 00 00 00 00 00 01", ["8c 06 01 01 00"]),
     ("one of too high a number", "8c 06 63 01 00 00 00 00 00 01", ["8c 06 63 01 08"]),
     (
-        "define one behind the memory",
+        "define a trajectory behind the memory",
         "8c 06 02 01 00 00 10 00 00 01",
         ["8c 06 02 01 00"],
     ),
     (
-        "define one that lies nowhere",
+        "define a trajectory in no memory",
         "8c 06 03 00 00 00 00 00 00 01",
         ["8c 06 03 00 00"],
     ),

@@ -168,6 +168,8 @@ def build_bench_swarm(case: FlightCase, duration: float) -> SwarmConfig:
                 for i, place in formation.places.items()
             ],
             "flight": {"takeoff_height": BENCH_SWARMS.height},
+            # So all drones are ready at once, and what is measured is flight.
+            "mocap": {"tilt_spread": 0.0},
             "collision": {"method": case.collision},
             "fence": _build_fence(formation.places),
         },

@@ -236,14 +236,22 @@ complementary_fields = np.dtype(
 
 health_fields = np.dtype(
     [
-        # ms of a motor in the test of the propellers, and of the first sample
+        # ms: how long a motor turns in the test of the propellers, how long it rests, first sample
         *_integer_fields("on_ticks off_ticks sample_start"),
-        # PWM ratios: of the platform, and those that replace them above 0; limits in g2
+        # PWM ratios of the platform for the two tests
         *_real_fields("usual_propeller_ratio usual_battery_ratio"),
-        *_real_fields("propeller_ratio battery_ratio least most"),
-        # ms of the test or of this motor; motor; sums of the accelerometer, g and g2
-        *_integer_fields("tick motor"),
-        *_real_fields("sum_x sum_y square_x square_y idle_voltage least_voltage"),
+        # PWM ratios of the parameters; above 0 they are used instead
+        *_real_fields("propeller_ratio battery_ratio"),
+        # g2: range of the variance that a good propeller makes
+        *_real_fields("least most"),
+        # ms since the test, or the turn of its motor, began
+        *_integer_fields("tick"),
+        # number of the motor that turns, from 0
+        *_integer_fields("motor"),
+        # sums of the accelerometer's samples, g, and of their squares, g2
+        *_real_fields("sum_x sum_y square_x square_y"),
+        # V before the test, and least voltage in it
+        *_real_fields("idle_voltage least_voltage"),
         # results: bits of the motors, number of tests, g2 of each motor; V
         *_integer_fields("passed count battery_passed"),
         ("variance_x", np.float64, (4,)),

@@ -35,6 +35,7 @@ SETPOINT_FIELDS = [
     "pitch_rate",
     "yaw_rate",
 ]
+"""Fields of a set-point in a row of the table of answers."""
 STATE_FIELDS = [
     "ax",
     "ay",
@@ -52,6 +53,7 @@ STATE_FIELDS = [
     "pitch",
     "yaw",
 ]
+"""Fields of readings and estimate in a row of the table of answers."""
 
 
 @kernel(numba.from_dtype(make_fleet(1, CRAZYFLIE_21).dtype)[::1])
