@@ -1,3 +1,7 @@
+import threading
+
+import cvxpy
+import highspy
 import numpy as np
 import pytest
 from scipy.optimize import linprog, milp
@@ -6,6 +10,8 @@ from crazychoir.optimization.problems.linear import LinearProgram
 
 ROWS = np.array([[1.0, 1.0], [3.0, 1.0]]), np.array([4.0, 6.5])
 BOUNDS = np.zeros(2), np.full(2, 10.0)
+OURS = -1
+"""A solve of this package, among numbers of threads of other users of HiGHS."""
 
 
 def test_it_finds_what_scipy_finds_for_many_costs():
@@ -77,3 +83,51 @@ def test_a_search_ends_after_so_many_nodes():
         cost, nothing, (E, np.floor(A.sum(1) / 2)), bounds, integer, most_nodes=3
     )
     assert program.solve(np.zeros(n)) == "too many nodes"
+
+
+def _solve_beside_other_solvers(steps, results):
+    program = LinearProgram(np.array([-1.0, -1.0]), ROWS, bounds=BOUNDS)
+    for threads in steps:
+        if threads == OURS:
+            x = program.solve(np.zeros(2))
+            results.append(float(np.sum(x)))
+        else:
+            # a whole number of at most 2.5, as cvxpy asks for it: with threads of its own
+            other = highspy.Highs()
+            other.setOptionValue("output_flag", False)
+            other.setOptionValue("threads", threads)
+            other.addCol(-1.0, 0.0, 2.5, 0, np.array([], np.int32), np.array([]))
+            other.changeColIntegrality(0, highspy.HighsVarType.kInteger)
+            other.solve()
+            results.append(other.getSolution().col_value[0])
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [(0, OURS), (OURS, 0), (OURS, 4), (3, OURS, 3, OURS)],
+    ids=["theirs first", "ours first", "ours, then four threads", "in turns"],
+)
+def test_order_of_use_of_highs_does_not_matter(steps):
+    """HiGHS refuses a solve with another number of threads than the first solve of a thread."""
+    expected = [4.0 if threads == OURS else 2.0 for threads in steps]
+    in_threads = [[] for _ in range(4)]
+    threads = [
+        threading.Thread(target=_solve_beside_other_solvers, args=(steps * 5, results))
+        for results in in_threads
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+
+    for results in in_threads:
+        assert results == pytest.approx(expected * 5)
+
+
+def test_cvxpy_and_a_linear_program_of_ours_solve_in_turns():
+    whole = cvxpy.Variable(integer=True)
+    theirs = cvxpy.Problem(cvxpy.Maximize(whole), [whole <= 2.5])
+    ours = LinearProgram(np.array([-1.0, -1.0]), ROWS, bounds=BOUNDS)
+    for _ in range(2):
+        assert theirs.solve(solver=cvxpy.HIGHS) == pytest.approx(2.0)
+        assert np.sum(ours.solve(np.zeros(2))) == pytest.approx(4.0)
