@@ -29,8 +29,40 @@ def random_blocks(agents, seed, tightness=0.8):
     ]
 
 
+def random_mixed_blocks(seed):
+    """Two to five agents with no, some or only integers, and resources that are used or made."""
+    chance = np.random.default_rng(seed)
+    agents = int(chance.integers(2, 6))
+    resources = int(chance.integers(1, 4))
+    kind = chance.integers(3)
+    parts = []
+    for _ in range(agents):
+        n = int(chance.integers(1, 5))
+        c = chance.normal(size=n)
+        made_or_used = chance.normal(size=(resources, n))
+        used = chance.uniform(0, 1, (resources, n))
+        A = made_or_used if chance.random() < 0.5 else used
+        if chance.random() < 0.3:
+            c = np.round(2 * c)
+            A = np.round(2 * A)
+        high = chance.integers(1, 5, n).astype(float)
+        integer = [[], list(range(n // 2)), list(range(n))][kind]
+        D = chance.normal(size=(2, n))
+        d = np.abs(chance.normal(size=2)) + 0.1
+        rows = (D, d) if chance.random() < 0.5 else None
+        parts.append((c, A, rows, high, integer))
+    wanted = sum(A @ (high * (c < 0)) for c, A, _, high, _ in parts)
+    b = np.abs(wanted) * chance.uniform(0.2, 0.9, resources)
+    return [
+        MixedIntegerBlock(
+            i, c, A, b / agents, rows=rows, bounds=(0.0, high), integer=integer
+        )
+        for i, (c, A, rows, high, integer) in enumerate(parts)
+    ]
+
+
 def central(blocks, relaxed=False):
-    """The least cost of all together."""
+    """The least cost of all together; None if there is no solution."""
     c, A = (
         np.concatenate([block.c for block in blocks]),
         np.hstack([block.A for block in blocks]),

@@ -63,7 +63,7 @@ class Convexified:
             self._highs.addRow(-highspy.kHighsInf, 0.0, 0, none, none)
         self._highs.addRow(1.0, 1.0, 0, none, none)
         rows = np.arange(S, dtype=np.int32)
-        self._highs.addCol(penalty, 0.0, highspy.kHighsInf, S, rows, -np.ones(S))
+        self._highs.addCol(penalty, 0.0, highspy.kHighsInf, S, rows, -block.scale)
         self._add(block.corner(block.c))
 
     def allocate(self, y: Vec) -> AllocatedSolution:
@@ -71,12 +71,12 @@ class Convexified:
 
         y: (S,)
         """
-        for s, most in enumerate(y):
+        for s, most in enumerate(y * self._block.scale):
             self._highs.changeRowBounds(s, -highspy.kHighsInf, float(most))
         block = self._block
         for _ in range(CORNER_GENERATION.most_corners):
             value, weights, dual = self._master()
-            mu = np.maximum(-dual[:-1], 0.0)
+            mu = np.maximum(-dual[:-1], 0.0) * block.scale
             priced = block.c + mu @ block.A
             corner = block.corner(priced)
             if float(priced @ corner) >= float(
@@ -113,7 +113,7 @@ class Convexified:
     def _add(self, corner: Vec) -> None:
         block = self._block
         self._corners = np.vstack([self._corners, corner])
-        column = np.concatenate([block.A @ corner, [1.0]])
+        column = np.concatenate([block.scale * (block.A @ corner), [1.0]])
         rows = np.arange(len(column), dtype=np.int32)
         self._highs.addCol(
             float(block.c @ corner), 0.0, highspy.kHighsInf, len(column), rows, column

@@ -43,9 +43,14 @@ class _QuietHighs(highspy.Highs):  # type: ignore[misc]
         HiGHS keeps the workers of a thread's first solve, and refuses each later solve of that thread
         with another number of threads. cvxpy solves in HiGHS too, with numbers of its own. Therefore
         each solve begins and ends without workers. With one thread this costs 0.2 us.
+
+        From an old basis the simplex method sometimes ends in kUnknown. The solve then starts anew.
         """
         self.resetGlobalScheduler(True)
         status = super().run()
+        if self.getModelStatus() == highspy.HighsModelStatus.kUnknown:
+            self.clearSolver()
+            status = super().run()
         self.resetGlobalScheduler(True)
         return status
 
@@ -63,6 +68,12 @@ def make_quiet_highs(seed: int = 0) -> highspy.Highs:
     # agent are small, and are solved thousands of times.
     highs.setOptionValue("mip_heuristic_run_feasibility_jump", False)
     return highs
+
+
+def demand_tolerance(highs: highspy.Highs, tolerance: float) -> None:
+    """Let the solutions of `highs` miss rows, bounds and integers by no more than `tolerance`."""
+    highs.setOptionValue("primal_feasibility_tolerance", tolerance)
+    highs.setOptionValue("mip_feasibility_tolerance", tolerance)
 
 
 class LinearProgram:
@@ -121,6 +132,14 @@ class LinearProgram:
         The reason is a text of HIGHS_STATUS_TEXTS, or the name of the status in HiGHS.
         """
         return self._minimise(self._c + p)
+
+    def restrict(self, low: Vec, high: Vec) -> None:
+        """Replace the bounds of x, each (n,)."""
+        self._highs.changeColsBounds(len(self._index), self._index, low, high)
+
+    def demand(self, tolerance: float) -> None:
+        """Let rows, bounds and integers be missed by no more than `tolerance`, 1e-10 or more."""
+        demand_tolerance(self._highs, tolerance)
 
     @property
     def proven(self) -> float:

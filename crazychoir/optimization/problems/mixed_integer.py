@@ -13,15 +13,19 @@ from crazychoir.optimization.problems.linear import (
     MOST_BRANCH_NODES,
     LinearProgram,
     Mask,
+    demand_tolerance,
     make_quiet_highs,
 )
 from crazychoir.optimization.rounds.arrays import copy_matrix, copy_vector
 from crazychoir.types import Mat, Vec
 
 MILP_TOLERANCE = 1e-6
-"""Tolerance of the solver: a row may miss its bound by this, relative to 1 + |bound|."""
-SMALLEST_RESOURCE = 1e-5
-"""Least size of the largest number of a resource: the tolerance would hide a smaller resource."""
+"""Tolerance of a solution of the team: a resource may be exceeded by this part of itself."""
+LOCAL_TOLERANCE = 1e-9
+"""Tolerance of one agent's solution, relative to 1 + |bound|: a thousand agents may add up theirs."""
+
+BoxBounds = tuple[Vec, Vec]
+"""(low, high), each (n,): bounds of x."""
 
 
 class MixedIntegerBlock:
@@ -67,12 +71,14 @@ class MixedIntegerBlock:
                 do,
             )
         self.A = copy_matrix(A, self.where, "A", (self.S, self.n))
+        self.scale = find_scale(
+            np.maximum(np.abs(self.A).max(axis=1, initial=0.0), np.abs(self.share))
+        )
         D, d = (np.zeros((0, self.n)), np.zeros(0)) if rows is None else rows
         d = copy_vector(d, self.where, "d")
         self.rows = _scale_near_one(
             copy_matrix(D, self.where, "D", (len(d), self.n)), d
         )
-        self._require_resources_to_be_seen()
         low = self._bound(bounds[0], "low")
         high = self._bound(bounds[1], "high")
         self.bounds = low, high
@@ -83,23 +89,6 @@ class MixedIntegerBlock:
                 f"{self.where}: low[{k}]", f"{low[k]}", f"at most high[{k}] = {high[k]}"
             )
         self.integer = self._mask(integer)
-
-    def _require_resources_to_be_seen(self) -> None:
-        """Raise ConfigError for a resource if all its numbers are below the tolerance.
-
-        The solver would accept any excess of such a resource.
-        """
-        sizes = np.maximum(np.abs(self.A).max(axis=1, initial=0.0), np.abs(self.share))
-        hidden = np.flatnonzero((sizes > 0.0) & (sizes < SMALLEST_RESOURCE))
-        if len(hidden):
-            s = int(hidden[0])
-            found = f"numbers of {sizes[s]:.3g} at most"
-            allowed = (
-                f"{SMALLEST_RESOURCE:g} or more, or zeros: smaller ones are below the "
-                f"tolerance {MILP_TOLERANCE:g}"
-            )
-            do = "Measure this resource in a smaller unit, at all agents."
-            raise ConfigError(f"{self.where}: A[{s}], share[{s}]", found, allowed, do)
 
     def _bound(self, bound: Any, name: str) -> Vec:
         every = np.full(self.n, float(bound)) if np.ndim(bound) == 0 else bound
@@ -117,17 +106,60 @@ class MixedIntegerBlock:
 
     @cached_property
     def _over(self) -> LinearProgram:
-        return LinearProgram(
+        program = LinearProgram(
             np.zeros(self.n), self.rows, bounds=self.bounds, integer=self.integer
         )
+        program.demand(LOCAL_TOLERANCE)
+        return program
+
+    @cached_property
+    def _boxed(self) -> LinearProgram:
+        """The same program, for boxes within the bounds."""
+        program = LinearProgram(
+            np.zeros(self.n), self.rows, bounds=self.bounds, integer=self.integer
+        )
+        program.demand(LOCAL_TOLERANCE)
+        return program
 
     def corner(self, cost: Vec) -> Vec:
         """Return argmin cost'x over X_i, (n,)."""
         return self._exact(self._require(self._over.solve(cost)))
 
-    def least(self, cost: Vec) -> tuple[Vec, float]:
-        """Return a corner that minimises cost'x over X_i, and a proven lower bound of cost'x."""
-        return self.corner(cost), self._over.proven
+    def least(self, cost: Vec, box: BoxBounds) -> tuple[Vec | None, float]:
+        """Return argmin cost'x over the x of X_i in a box, and a proven lower bound of cost'x.
+
+        Returns (None, inf) if no x of X_i is in the box.
+        """
+        if (box[0] > box[1]).any():
+            return None, np.inf
+        self._boxed.restrict(*box)
+        found = self._boxed.solve(cost)
+        if isinstance(found, str) and found == "infeasible":
+            return None, np.inf
+        return self._exact(self._require(found)), self._boxed.proven
+
+    def box_of(self, x: Vec) -> BoxBounds:
+        """Return the box of all x that have the integers of a given x."""
+        low, high = self.bounds
+        return np.where(self.integer, x, low), np.where(self.integer, x, high)
+
+    def find_fraction(self, x: Vec) -> tuple[int, float]:
+        """Return the integer variable that is farthest from an integer, and its distance.
+
+        x: (n,) a mixture of points of X_i
+        """
+        distance = np.where(self.integer, np.abs(x - np.round(x)), 0.0)
+        k = int(np.argmax(distance))
+        return k, float(distance[k])
+
+    def cut(self, box: BoxBounds, k: int, value: float) -> tuple[BoxBounds, BoxBounds]:
+        """Return the parts of a box with x_k <= floor(value), and with x_k > floor(value)."""
+        low, high = box
+        most = high.copy()
+        most[k] = np.floor(value)
+        least = low.copy()
+        least[k] = np.floor(value) + 1.0
+        return (low, most), (least, high)
 
     @cached_property
     def _elastic(self) -> "_ElasticProgram":
@@ -195,9 +227,17 @@ def _scale_near_one(rows: Mat, bounds: Vec) -> tuple[Mat, Vec]:
     The tolerances of HiGHS are absolute, so rows of other sizes would be judged wrongly.
     The factors are powers of two, so that nothing is rounded.
     """
-    exponents = 1 - np.frexp(np.abs(rows).max(axis=1, initial=0.0))[1]
-    exponents = np.where(rows.any(axis=1), exponents, 0)
-    return np.ldexp(rows, exponents[:, None]), np.ldexp(bounds, exponents)
+    scale = find_scale(np.abs(rows).max(axis=1, initial=0.0))
+    return rows * scale[:, None], bounds * scale
+
+
+def find_scale(sizes: Vec) -> Vec:
+    """Return powers of two, with which each size becomes 1 to 2; 1 where the size is 0.
+
+    sizes: (m,), 0 or more
+    """
+    exponents = np.where(sizes > 0.0, 1 - np.frexp(sizes)[1], 0)
+    return np.ldexp(np.ones(len(sizes)), exponents)
 
 
 def require_block(block: Any, algorithm: str) -> None:
@@ -208,7 +248,10 @@ def require_block(block: Any, algorithm: str) -> None:
 
 
 class _ElasticProgram:
-    """min c'x over X with A x <= y + v, in the variables (x, v), for many y."""
+    """min c'x over X with A x <= y + v, in the variables (x, v), for many y.
+
+    Resources are in units in which their largest number is 1 to 2, like all rows.
+    """
 
     def __init__(self, block: MixedIntegerBlock) -> None:
         n = block.n
@@ -224,7 +267,8 @@ class _ElasticProgram:
         self._low = np.concatenate([block.bounds[0], np.zeros(S)])
         self._highs = make_quiet_highs()
         self._highs.addVars(n + S, self._low, self._high)
-        for s, row in enumerate(block.A):
+        self._scale = block.scale
+        for s, row in enumerate(block.A * block.scale[:, None]):
             self._add(np.concatenate([row, -np.eye(S)[s]]), 0.0)
         for row, most in zip(D, d, strict=True):
             self._add(np.concatenate([row, self._zero]), most)
@@ -233,14 +277,16 @@ class _ElasticProgram:
         self._highs.changeColsIntegrality(n + S, self._index, kinds)
         self._highs.setOptionValue("mip_max_nodes", MOST_BRANCH_NODES)
         self._highs.setOptionValue("mip_rel_gap", 0.0)
+        demand_tolerance(self._highs, LOCAL_TOLERANCE)
 
     def solve(self, y: Vec) -> Vec | str:
         """Return the x (n,) with the least sum of v, and then the least c'x.
 
         Returns the reason as a text if there is none.
         """
+        most = y * self._scale
         for s in range(self._S):
-            self._highs.changeRowBounds(s, -np.inf, float(y[s]))
+            self._highs.changeRowBounds(s, -np.inf, float(most[s]))
         within = self._minimise(self._cost, self._zero)
         if not isinstance(within, str):
             return within[: self._n]
@@ -248,9 +294,11 @@ class _ElasticProgram:
         if isinstance(missing, str):
             return missing
         found = self._minimise(
-            self._cost, missing[self._n :] + MILP_TOLERANCE * (1.0 + np.abs(y))
+            self._cost,
+            missing[self._n :] + 10.0 * LOCAL_TOLERANCE * (1.0 + np.abs(most)),
         )
-        return found if isinstance(found, str) else found[: self._n]
+        # Rounding may leave no x with exactly this v. Then the x that has it is taken.
+        return (missing if isinstance(found, str) else found)[: self._n]
 
     def _minimise(self, cost: Vec, most: Vec) -> Vec | str:
         """Return the (x, v) of least cost.

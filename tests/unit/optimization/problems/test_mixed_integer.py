@@ -140,11 +140,14 @@ def test_rows_in_any_unit_hold(unit):
         block.corner(block.c)
 
 
-def test_a_resource_that_tolerances_hide_is_refused():
-    with pytest.raises(
-        ConfigError,
-        match=r"agent 2: A\[1\], share\[1\]: found numbers of 3e-09 at most",
-    ):
-        MixedIntegerBlock(2, [1.0], [[1.0], [1e-9]], [1.0, 3e-9])
-    MixedIntegerBlock(2, [1.0], [[1.0], [0.0]], [1.0, 0.0])
-    MixedIntegerBlock(2, [1.0], [[1.0], [1e-9]], [1.0, 1.0])
+@pytest.mark.parametrize("unit", [1e-12, 1e-9, 1e-6, 1.0, 1e6, 1e12])
+def test_resources_in_any_unit_hold(unit):
+    block = MixedIntegerBlock(
+        2, [-1.0, -1.0], [[2.0 * unit, unit]], [unit], bounds=(0, 10), integer=[0]
+    )
+    x, v = block.within(np.array([5.5 * unit]))
+    np.testing.assert_allclose(x, [0.0, 5.5])
+    np.testing.assert_allclose(v, [0.0], atol=1e-8 * unit)
+    x, v = block.within(np.array([-unit]))
+    np.testing.assert_allclose(x, [0.0, 0.0], atol=1e-7)
+    np.testing.assert_allclose(v, [unit], rtol=1e-7)
