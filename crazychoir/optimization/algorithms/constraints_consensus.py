@@ -61,17 +61,18 @@ class ConstraintsConsensus(Iteration):
     The graph is static or time-varying, directed or not, and (jointly, strongly) connected. There
     is no step size.
     f is strictly convex quadratic. If f is not strictly convex, for example linear, f is scaled to
-    length one and w |x|^2 / 2 is added, with w = CONSTRAINT_TOLERANCES.tie_break_weight. The tie-break makes the
-    optimum unique: the point nearest to 0. In the last round each agent checks, by the multipliers of f alone,
+    length one and w |z|^2 / 2 is added, with w = CONSTRAINT_TOLERANCES.tie_break_weight. The tie-break makes the
+    optimum unique: the z nearest to 0. In the last round each agent checks, by the multipliers of f alone,
     that the tie-break has not moved the optimum.
     Each agent counts the rounds since the last change that it knows of. With a diameter D all
     agents are done in the same round, 2 D after the last change.
 
+    Agents compute with z = x / unit, where each entry of z has a curvature or a slope near 1 in f. So
+    the units of x do not matter, except those of entries that are not in f.
+
     problem: f and X_i
     diameter: D of a static graph, or None
     rounds: largest number of rounds; needed without a diameter
-    x: (n,) the optimum of all rows known so far
-    basis: (m, n + 1), rows [a', b] with |a| = 1
     unchanged: number of rounds since the last known change
     Raises SolverError as soon as an agent knows constraints that exclude each other. In the last
     round, raises SolverError if f has no minimum, or if the tie-break has moved it.
@@ -97,10 +98,25 @@ class ConstraintsConsensus(Iteration):
         self.problem = problem
         self.diameter = diameter
         self.unchanged = 0
-        self._P, self._q, self._flat = _make_strictly_convex(problem)
-        self._own = _list_inequalities(problem)
-        self.x = np.zeros(problem.n)
-        self.basis = np.zeros((0, problem.n + 1))
+        self._unit = _choose_units(problem)
+        self._P, self._q, self._flat = _make_strictly_convex(problem, self._unit)
+        self._own = _normalise(self._scale(_list_inequalities(problem)))
+        self._z = np.zeros(problem.n)
+        self._basis = np.zeros((0, problem.n + 1))
+
+    @property
+    def x(self) -> Vec:
+        """(n,) the optimum of all rows known so far."""
+        return self._unit * self._z
+
+    @property
+    def basis(self) -> Mat:
+        """(m, n + 1), rows [a', b] of the optimum that have a positive multiplier."""
+        return self._basis / np.append(self._unit, 1.0)
+
+    def _scale(self, rows: Mat) -> Mat:
+        """Return the rows [a', b] for z instead of x. Powers of two round nothing."""
+        return rows * np.append(self._unit, 1.0)
 
     @property
     def done(self) -> bool:
@@ -112,7 +128,7 @@ class ConstraintsConsensus(Iteration):
     def message(self) -> list[Any]:
         """Return [rounds without a change, basis]."""
         if self.k == 0:
-            self._take(self.basis)
+            self._take(self._basis)
             self._improve(self._own)
         return [self.unchanged, self.basis]
 
@@ -124,15 +140,16 @@ class ConstraintsConsensus(Iteration):
         for j, (_, basis) in check_parts(
             self.i, self.k, heard, INTEGER_TYPES, object
         ).items():
-            if getattr(basis, "ndim", 0) != 2 or basis.shape[1] != self.basis.shape[1]:
-                allowed = f"(m, {self.basis.shape[1]}), as its own"
+            width = self.problem.n + 1
+            if getattr(basis, "ndim", 0) != 2 or basis.shape[1] != width:
+                allowed = f"(m, {width}), as its own"
                 raise ConfigError(
                     f"agent {self.i}: message of agent {j}",
                     f"a basis {np.shape(basis)}",
                     allowed,
                 )
         changed = self._improve(
-            np.vstack([self._own, *(basis for _, basis in heard.values())])
+            np.vstack([self._own, *(self._scale(basis) for _, basis in heard.values())])
         )
         fewest = min([self.unchanged, *(int(count) for count, _ in heard.values())])
         self.unchanged = 0 if changed else fewest + 1
@@ -149,12 +166,14 @@ class ConstraintsConsensus(Iteration):
         The condition is -grad f(x) = A'u over the basis, with some u >= 0.
         """
         pull = (
-            self._q + self._P @ self.x - CONSTRAINT_TOLERANCES.tie_break_weight * self.x
+            self._q
+            + self._P @ self._z
+            - CONSTRAINT_TOLERANCES.tie_break_weight * self._z
         )
-        rows = self.basis[:, :-1]
+        rows = self._basis[:, :-1]
         # Each entry is measured in its own unit. Otherwise a small entry, of an x in small units,
         # would vanish beside a large one.
-        unit = np.abs(self._q) + np.abs(self._P) @ np.abs(self.x)
+        unit = np.abs(self._q) + np.abs(self._P) @ np.abs(self._z)
         unit = np.where(
             unit > 0.0,
             unit,
@@ -169,7 +188,7 @@ class ConstraintsConsensus(Iteration):
             else float(np.linalg.norm(pull))
         )
         if missing > CONSTRAINT_TOLERANCES.gradient:
-            k = int(np.argmax(np.abs(self.x)))
+            k = int(np.argmax(np.abs(self._z)))
             found = (
                 f"x[{k}] = {self.x[k]:.6g} is held by the tie-break "
                 f"{CONSTRAINT_TOLERANCES.tie_break_weight:g} |x|^2 / 2, not by constraints"
@@ -190,16 +209,16 @@ class ConstraintsConsensus(Iteration):
                 raise SolverError(
                     f"agent {self.i}: constraints consensus", f"{found}; {do}"
                 )
-            self._take(np.vstack([self.basis, worst]))
+            self._take(np.vstack([self._basis, worst]))
         return steps > 0
 
     def _violated(self, rows: Mat) -> Mat:
         """Return the rows that x violates most."""
         a = rows[:, :-1]
         b = rows[:, -1]
-        terms = np.minimum(np.abs(a) @ np.abs(self.x), 1.0) + np.abs(b)
+        terms = np.minimum(np.abs(a) @ np.abs(self._z), 1.0) + np.abs(b)
         excess = (
-            a @ self.x
+            a @ self._z
             - b
             - CONSTRAINT_TOLERANCES.row * terms
             - CONSTRAINT_TOLERANCES.negligible_miss
@@ -224,16 +243,16 @@ class ConstraintsConsensus(Iteration):
             raise SolverError(
                 f"agent {self.i}: constraints that it knows", self._why(found, rows)
             )
-        self.basis = rows[program.u > 0.0] if len(rows) else rows
-        self.x = self._corner(found)
+        self._basis = rows[program.u > 0.0] if len(rows) else rows
+        self._z = self._corner(found)
 
     def _corner(self, near: Vec) -> Vec:
-        """Return x computed from its basis alone: P x + A'u + q = 0, A x = b.
+        """Return z computed from its basis alone: P z + A'u + q = 0, A z = b.
 
         This removes the rounding of a start that is far away.
         """
-        A = self.basis[:, :-1]
-        b = self.basis[:, -1]
+        A = self._basis[:, :-1]
+        b = self._basis[:, -1]
         if not len(b):
             return near
         zero = np.zeros((len(b), len(b)))
@@ -261,21 +280,43 @@ class ConstraintsConsensus(Iteration):
         if isinstance(missed, str):
             return status
         r = int(np.argmax(missed[n:]))
-        row = " ".join(f"{a:+.4g} x[{k}]" for k, a in enumerate(rows[r, :-1]) if a)
+        written = rows[r, :-1] / self._unit
+        row = " ".join(f"{a:+.4g} x[{k}]" for k, a in enumerate(written) if a)
         return f"infeasible: row {row} <= {rows[r, -1]:.4g}: violated by {size * missed[n + r]:.4g}, at best"
 
 
-def _make_strictly_convex(problem: CommonCost) -> tuple[Mat, Vec, bool]:
-    """Return P and q of f, with a tie-break if f needs one, and whether it does."""
-    form = problem.cost
+def _normalise(rows: Mat) -> Mat:
+    """Return the rows [a', b] with |a| = 1."""
+    length = np.linalg.norm(rows[:, :-1], axis=1, keepdims=True)
+    return np.asarray(rows / np.where(length > 0.0, length, 1.0))
+
+
+def _choose_units(problem: CommonCost) -> Vec:
+    """Return the units (n,) of x in which each entry counts alike in f: powers of two.
+
+    In them a curvature, or else a slope, is 1 to 4. An entry that is not in f keeps its unit.
+    """
+    curvature = np.diag(problem.cost.P)
+    slope = np.abs(problem.cost.q)
+    size = np.where(curvature > 0.0, np.sqrt(np.abs(curvature)), slope)
+    return 1.0 / _floor_to_power_of_two(np.where(size > 0.0, size, 1.0))
+
+
+def _floor_to_power_of_two(size: Vec) -> Vec:
+    return np.ldexp(np.ones(len(size)), np.frexp(size)[1] - 1)
+
+
+def _make_strictly_convex(problem: CommonCost, unit: Vec) -> tuple[Mat, Vec, bool]:
+    """Return P and q of f(unit z), with a tie-break if f needs one, and whether it does."""
+    P = problem.cost.P * np.outer(unit, unit)
+    q = problem.cost.q * unit
     try:
-        return require_positive_definite(form.P), form.q, False
+        return require_positive_definite(P), q, False
     except np.linalg.LinAlgError:
-        length = max(float(np.abs(form.P).max()), float(np.linalg.norm(form.q))) or 1.0
+        length = max(float(np.abs(P).max()), float(np.linalg.norm(q))) or 1.0
         return (
-            form.P / length
-            + CONSTRAINT_TOLERANCES.tie_break_weight * np.eye(problem.n),
-            form.q / length,
+            P / length + CONSTRAINT_TOLERANCES.tie_break_weight * np.eye(problem.n),
+            q / length,
             True,
         )
 
