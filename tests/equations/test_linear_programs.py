@@ -148,10 +148,23 @@ def test_trade_by_metropolis_weights_keeps_the_sum_of_the_shares():
     assert trade.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
 
 
+def all_integer(block):
+    """The block with integers alone, so that each option has integers of its own."""
+    return MixedIntegerBlock(
+        block.agent,
+        block.c,
+        block.A,
+        block.share,
+        rows=block.rows,
+        bounds=block.bounds,
+        integer=range(block.n),
+    )
+
+
 def test_the_best_options_are_those_of_all_choices():
-    blocks = random_blocks(3, seed=2, tightness=0.5)
+    blocks = [all_integer(block) for block in random_blocks(3, seed=2, tightness=0.5)]
     capacity = sum(block.share for block in blocks)
-    pool, tables = OptionsPool(capacity, [0, 1, 2]), []
+    pool, tables = OptionsPool(capacity, np.ones(3), [0, 1, 2]), []
     for block in blocks:
         options = AgentOptions(block)
         for y in DRAW.uniform(0.0, 3.0, (5, 3)):
@@ -159,17 +172,37 @@ def test_the_best_options_are_those_of_all_choices():
         tables.append(options.table)
     pool.add(dict(enumerate(tables)))
     fitting = [
-        sum(table[o][0] for table, o in zip(tables, chosen, strict=True))
+        sum(table[o][1] for table, o in zip(tables, chosen, strict=True))
         for chosen in itertools.product(*(range(len(table)) for table in tables))
         if (
             np.sum(
-                [table[o][1:] for table, o in zip(tables, chosen, strict=True)], axis=0
+                [table[o][2:] for table, o in zip(tables, chosen, strict=True)], axis=0
             )
             <= capacity
         ).all()
     ]
-    (missing, cost), _, chosen = pool.best(0)
+    (missing, cost), _, mixtures = pool.best(0, None)
     assert missing == 0.0
     assert cost == pytest.approx(min(fitting))
-    assert cost == pool.value(chosen)[0]
-    assert (pool.prices() >= 0.0).all()
+    assert cost == pool.value(mixtures).cost
+    assert (pool.relaxed({})[0] >= 0.0).all()
+
+
+def test_options_with_the_same_integers_are_mixed():
+    """x_0 in [0, 3] and x_1 in {0, 1} share one unit: 0.4 of x_0 beside x_1 = 0, as 3 is too much."""
+    blocks = [
+        MixedIntegerBlock(0, [-1.0], [[2.5]], [0.5], bounds=(0.0, 3.0)),
+        MixedIntegerBlock(1, [-0.1], [[1.0]], [0.5], bounds=(0.0, 1.0), integer=[0]),
+    ]
+    pool = OptionsPool(np.ones(1), np.ones(1), [0, 1])
+    tables = {}
+    for block, points in zip(blocks, ([0.0, 3.0], [0.0, 1.0]), strict=True):
+        options = AgentOptions(block)
+        for point in points:
+            options.add(np.array([point]))
+        tables[block.agent] = options.table
+    pool.add(tables)
+    choice = pool.value(pool.best(0, None)[2])
+    assert choice.cost == pytest.approx(-0.4)
+    assert choice.left == pytest.approx([0.0], abs=1e-9)
+    assert len(choice.mixtures[1]) == 1

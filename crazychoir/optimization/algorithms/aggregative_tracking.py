@@ -16,7 +16,11 @@ from crazychoir.optimization.problems.gradient import (
 from crazychoir.optimization.rounds.iteration import copy_state
 from crazychoir.optimization.rounds.messages import check_parts
 from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
-from crazychoir.optimization.rounds.step_size import StepSize, step_size
+from crazychoir.optimization.rounds.step_size import (
+    GrowthWatch,
+    StepSize,
+    step_size,
+)
 from crazychoir.types import Vec
 
 Of = Callable[[Vec], ArrayLike]
@@ -37,6 +41,12 @@ class AggregativeProblem:
     """grad_2 f_i(x, s), (d,)."""
     project: Project = keep_point
     """P_i, the projection onto X_i."""
+
+
+SMALL_ENOUGH_STEP = (
+    "well below 1 / L, with L-smooth f_i; the smaller, the slower the graph mixes"
+)
+"""Steps with which aggregative tracking converges, for error texts."""
 
 
 class AggregativeTracking(Mixing):
@@ -90,6 +100,7 @@ class AggregativeTracking(Mixing):
         )
         self.project = CheckedFunction(i, "project", problem.project)
         self.step_size = step_size(step)
+        self._watch = GrowthWatch(f"agent {i}", self.step_size, SMALL_ENOUGH_STEP)
         self.delta = delta
         if not 0.0 < delta <= 1.0:
             raise ConfigError(f"agent {i}: delta", delta, "above 0, at most 1")
@@ -114,6 +125,7 @@ class AggregativeTracking(Mixing):
         jacobian = self.jacobian(k, x, shape=(len(self.sigma), len(x)))
         down = self.gradient_own(k, x, self.sigma) + jacobian.T @ self.y
         new = x + self.delta * (self.project(k, x - self.step_size(k) * down) - x)
+        self._watch(k, new)
         phi = self.aggregate(k, new, shape=self.phi.shape)
         sigma = (
             mix(self.i, row, self.sigma, {j: s for j, (s, _) in heard.items()})

@@ -6,8 +6,17 @@ from crazychoir.optimization.algorithms.block_consensus import BlockConsensus
 from crazychoir.optimization.problems.gradient import CheckedFunction, ProjectedCost
 from crazychoir.optimization.rounds.blocks import RandomBlocks
 from crazychoir.optimization.rounds.mixing import Row, Rows
-from crazychoir.optimization.rounds.step_size import StepSize, step_size
+from crazychoir.optimization.rounds.step_size import (
+    GrowthWatch,
+    StepSize,
+    step_size,
+)
 from crazychoir.types import Vec
+
+SMALL_ENOUGH_STEP = (
+    "below 2 / L where f_i is L-smooth; Diminishing(a, p) with 1/2 < p <= 1 elsewhere"
+)
+"""Steps with which the block subgradient method stays near an optimum, for error texts."""
 
 
 class BlockSubgradientMethod(BlockConsensus):
@@ -44,6 +53,7 @@ class BlockSubgradientMethod(BlockConsensus):
         self.gradient = CheckedFunction(i, "gradient", problem.gradient)
         self.project = CheckedFunction(i, "project", problem.project)
         self.step_size = step_size(step)
+        self._watch = GrowthWatch(f"agent {i}", self.step_size, SMALL_ENOUGH_STEP)
 
     def changed(self, row: Row, part: slice) -> Vec:
         """Return P_X(v_i - a_k g_i(v_i))[l], the new block.
@@ -52,5 +62,6 @@ class BlockSubgradientMethod(BlockConsensus):
         part: slice of x that is block l
         """
         v = self.mixed(row, slice(None))
+        self._watch(self.k, v)
         moved = v - self.step_size(self.k) * self.gradient(self.k, v)
         return self.project(self.k, moved)[part]

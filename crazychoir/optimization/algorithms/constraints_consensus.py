@@ -107,16 +107,16 @@ class ConstraintsConsensus(Iteration):
     @property
     def x(self) -> Vec:
         """(n,) the optimum of all rows known so far."""
-        return self._unit * self._z
+        return np.asarray(self._unit * self._z)
 
     @property
     def basis(self) -> Mat:
         """(m, n + 1), rows [a', b] of the optimum that have a positive multiplier."""
-        return self._basis / np.append(self._unit, 1.0)
+        return np.asarray(self._basis / np.append(self._unit, 1.0))
 
     def _scale(self, rows: Mat) -> Mat:
         """Return the rows [a', b] for z instead of x. Powers of two round nothing."""
-        return rows * np.append(self._unit, 1.0)
+        return np.asarray(rows * np.append(self._unit, 1.0))
 
     @property
     def done(self) -> bool:
@@ -303,7 +303,7 @@ def _choose_units(problem: CommonCost) -> Vec:
 
 
 def _floor_to_power_of_two(size: Vec) -> Vec:
-    return np.ldexp(np.ones(len(size)), np.frexp(size)[1] - 1)
+    return np.asarray(np.ldexp(np.ones(len(size)), np.frexp(size)[1] - 1))
 
 
 def _make_strictly_convex(problem: CommonCost, unit: Vec) -> tuple[Mat, Vec, bool]:

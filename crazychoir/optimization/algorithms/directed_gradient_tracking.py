@@ -9,8 +9,17 @@ from crazychoir.optimization.problems.gradient import CheckedFunction, Gradient
 from crazychoir.optimization.rounds.iteration import Iteration, copy_state
 from crazychoir.optimization.rounds.messages import check_array, check_parts
 from crazychoir.optimization.rounds.mixing import Rows, check_rows, mix
-from crazychoir.optimization.rounds.step_size import StepSize, step_size
+from crazychoir.optimization.rounds.step_size import (
+    GrowthWatch,
+    StepSize,
+    step_size,
+)
 from crazychoir.types import PerNeighbor, Vec
+
+SMALL_ENOUGH_STEP = (
+    "well below 1 / L, with L-smooth f_i; the smaller, the slower the graph mixes"
+)
+"""Steps with which push-pull gradient tracking converges, for error texts."""
 
 
 class DirectedGradientTracking(Iteration):
@@ -61,6 +70,7 @@ class DirectedGradientTracking(Iteration):
             CheckedFunction(i, "gradient", gradient),
             step_size(step),
         )
+        self._watch = GrowthWatch(f"agent {i}", self.step_size, SMALL_ENOUGH_STEP)
         self.g = self.d = self.gradient(0, self.x)
 
     def message(self) -> PerNeighbor:
@@ -81,6 +91,7 @@ class DirectedGradientTracking(Iteration):
         x = mix(
             self.i, row, self._moved(), {j: theirs[0] for j, theirs in heard.items()}
         )
+        self._watch(self.k, x)
         g = self.gradient(self.k, x)
         d = self.shares[self.k % len(self.shares)][self.i] * self.d + g - self.g
         for j, (_, theirs) in heard.items():

@@ -7,8 +7,15 @@ import numpy as np
 from crazychoir.optimization.problems.problems import CostCoupled, require_problem
 from crazychoir.optimization.rounds.iteration import Iteration
 from crazychoir.optimization.rounds.messages import check_array
-from crazychoir.optimization.rounds.step_size import StepSize, step_size
+from crazychoir.optimization.rounds.step_size import (
+    GrowthWatch,
+    StepSize,
+    step_size,
+)
 from crazychoir.types import Vec
+
+SMALL_ENOUGH_STEP = "below s / (2 max degree), with strongly convex f_i of modulus s"
+"""Steps with which dual decomposition converges, for error texts."""
 
 
 class DualDecomposition(Iteration):
@@ -46,6 +53,8 @@ class DualDecomposition(Iteration):
         require_problem(problem, CostCoupled, "DualDecomposition")
         super().__init__(problem.agent, rounds)
         self.problem, self.step_size = problem, step_size(step)
+        where = f"agent {problem.agent}"
+        self._watch = GrowthWatch(where, self.step_size, SMALL_ENOUGH_STEP)
         self.heavy = not problem.is_fast()
         self.x = np.zeros(problem.n)
         self.v = np.zeros(problem.n)
@@ -62,4 +71,5 @@ class DualDecomposition(Iteration):
         for j, x in heard.items():
             apart -= check_array(self.i, j, x, self.x)
         self.v += 2.0 * self.step_size(self.k) * apart
+        self._watch(self.k, self.v)
         self.x = self.problem.argmin(self.v)

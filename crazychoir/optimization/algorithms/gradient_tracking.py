@@ -9,8 +9,15 @@ from crazychoir.optimization.problems.gradient import CheckedFunction, Gradient
 from crazychoir.optimization.rounds.iteration import copy_state
 from crazychoir.optimization.rounds.messages import check_parts
 from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
-from crazychoir.optimization.rounds.step_size import StepSize, step_size
+from crazychoir.optimization.rounds.step_size import (
+    GrowthWatch,
+    StepSize,
+    step_size,
+)
 from crazychoir.types import Vec
+
+SMALL_ENOUGH_STEP = "of the order of (1 - s)^2 / L, s the second largest singular value of W, f_i L-smooth"
+"""Steps with which gradient tracking converges, for error texts."""
 
 
 class GradientTracking(Mixing):
@@ -31,7 +38,7 @@ class GradientTracking(Mixing):
         step is small enough: of the order of (1 - s)^2 / L, with s the second largest singular
         value of W
     rounds: number of rounds until done; None for no end
-    Raises ConfigError if the step is so large that x diverges to numbers that are not finite.
+    Raises ConfigError that names the step if it is so large that x grows without end.
     Source: Qu & Li 2018, IEEE Trans. Control Netw. Syst. 5(3), 1245-1260; Nedic, Olshevsky & Shi
     2017, SIAM J. Optim.
     """
@@ -51,6 +58,7 @@ class GradientTracking(Mixing):
             CheckedFunction(i, "gradient", gradient),
             step_size(step),
         )
+        self._watch = GrowthWatch(f"agent {i}", self.step_size, SMALL_ENOUGH_STEP)
         self.g = self.d = self.gradient(0, self.x)
 
     def payload(self) -> list[Vec]:
@@ -64,6 +72,7 @@ class GradientTracking(Mixing):
             mix(self.i, row, self.x, {j: theirs[0] for j, theirs in heard.items()})
             - self.step_size(self.k) * self.d
         )
+        self._watch(self.k, x)
         g = self.gradient(self.k, x)
         self.d = (
             mix(self.i, row, self.d, {j: theirs[1] for j, theirs in heard.items()})

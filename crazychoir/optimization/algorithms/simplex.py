@@ -467,8 +467,8 @@ class DualDistributedSimplex(Program[CommonSolution]):
 
     @property
     def x(self) -> Vec:
-        """(d,) the prices at the present basis."""
-        return self._bases.pricing().prices()
+        """(d,) the prices at the present basis; they meet the own constraints if any prices do."""
+        return self.result.x if self.done else self._bases.pricing().own_prices()
 
     def run(self) -> Exchange[CommonSolution]:
         """Compare c, exchange bases, end together."""

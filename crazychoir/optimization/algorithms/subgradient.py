@@ -14,8 +14,17 @@ from crazychoir.optimization.problems.gradient import (
 from crazychoir.optimization.rounds.average import RunningAverage
 from crazychoir.optimization.rounds.iteration import copy_state
 from crazychoir.optimization.rounds.mixing import Mixing, Row, Rows, mix
-from crazychoir.optimization.rounds.step_size import StepSize, step_size
+from crazychoir.optimization.rounds.step_size import (
+    GrowthWatch,
+    StepSize,
+    step_size,
+)
 from crazychoir.types import Vec
+
+SMALL_ENOUGH_STEP = (
+    "below 2 / L where f_i is L-smooth; Diminishing(a, p) with 1/2 < p <= 1 elsewhere"
+)
+"""Steps with which the subgradient method stays near an optimum, for error texts."""
 
 
 class SubgradientMethod(Mixing):
@@ -53,6 +62,7 @@ class SubgradientMethod(Mixing):
         self.gradient = CheckedFunction(i, "gradient", gradient)
         self.project = CheckedFunction(i, "project", project)
         self.step_size = step_size(step)
+        self._watch = GrowthWatch(f"agent {i}", self.step_size, SMALL_ENOUGH_STEP)
         self._average = RunningAverage()
 
     @property
@@ -68,5 +78,6 @@ class SubgradientMethod(Mixing):
         """Average, move along the negative gradient, project."""
         v = mix(self.i, row, self.x, heard)
         a = self.step_size(self.k)
+        self._watch(self.k, v)
         self.x = np.array(self.project(self.k, v - a * self.gradient(self.k, v)))
         self._average.add(self.x, a)

@@ -112,6 +112,13 @@ class BasisPricing:
             y = y + penalties @ self.basis.inverse[self._artificial]
         return np.asarray(y * self.sign)
 
+    def own_prices(self) -> Vec:
+        """Return prices (m,) that are dual feasible for the own columns, as far as there are any."""
+        M = np.zeros(self.left_over)
+        for _ in range(self.left_over):
+            M = self.penalties(M)
+        return self.prices(M)
+
     @property
     def left_over(self) -> int:
         """K, the number of artificial columns in the basis."""

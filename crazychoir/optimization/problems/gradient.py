@@ -14,6 +14,8 @@ from crazychoir.types import Vec
 
 Gradient = Callable[[Vec], ArrayLike]
 Project = Callable[[Vec], ArrayLike]
+LARGE_ARGUMENT = 1e6
+"""At an x as large as this, an error text says how large x is: the step may be too large."""
 
 
 class CheckedFunction:
@@ -44,9 +46,16 @@ class CheckedFunction:
     def __call__(self, k: int, *x: Vec, shape: tuple[int, ...] | None = None) -> Vec:
         """Return the value at x in round k."""
         wanted = x[0].shape if shape is None else shape
-        return require_result(
-            f"agent {self.i}: {self.name}, round {k}", self.function(*x), wanted
-        )
+        where = f"agent {self.i}: {self.name}, round {k}"
+        try:
+            return require_result(where, self.function(*x), wanted)
+        except ConfigError as error:
+            size = float(np.abs(x[0]).max(initial=0.0))
+            if size < LARGE_ARGUMENT:
+                raise
+            found = f"{error.found} at an x that has grown to {size:.3g}"
+            do = "Take a smaller step, or a smaller start."
+            raise ConfigError(error.where, found, error.allowed, do) from None
 
 
 def keep_point(x: Vec) -> Vec:

@@ -3,10 +3,18 @@
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
 
 from crazychoir.errors import ConfigError
+from crazychoir.types import Vec
 
 StepSize = Callable[[int], float]
+GROWTH_LIMIT: Final = 1e12
+"""Iterates may become this many times as large as the first ones that are not 0."""
+ROUNDS_PER_LOOK: Final = 8
+"""Rounds from one look at the size of the iterates to the next."""
 
 
 @dataclass(frozen=True)
@@ -67,3 +75,41 @@ def step_size(given: float | StepSize) -> StepSize:
 def _require_positive(what: str, a: float) -> None:
     if not (math.isfinite(a) and a > 0.0):
         raise ConfigError(f"step size: {what}", a, "a finite number above 0")
+
+
+class GrowthWatch:
+    """Ends an algorithm with iterates that grow without end, because its step is too large.
+
+    A step a_k that is too large multiplies the distance to the optimum in each round. The iterates have
+    grown too much when they are GROWTH_LIMIT times as large as the first ones that are not 0.
+
+    where: the agent, the start of an error text
+    step: a_k
+    bound: what is known of the steps with which the algorithm converges
+    """
+
+    def __init__(self, where: str, step: StepSize, bound: str) -> None:
+        self._where = where
+        self._step = step
+        self._bound = bound
+        self._first = 0.0
+
+    def __call__(self, k: int, x: Vec) -> None:
+        """Raise ConfigError that names the step, if x has grown too much; x may have any shape.
+
+        x is looked at in every eighth round, because a look costs as much as a round.
+        """
+        if k % ROUNDS_PER_LOOK:
+            return
+        size = float(np.abs(x).max(initial=0.0))
+        if size <= GROWTH_LIMIT * self._first:
+            return
+        if self._first == 0.0 and math.isfinite(size):
+            self._first = size
+            return
+        raise ConfigError(
+            f"{self._where}: step {self._step(k):g}, round {k}",
+            f"iterates that have grown from {self._first:.3g} to {size:.3g}",
+            self._bound,
+            "Take a smaller step.",
+        )

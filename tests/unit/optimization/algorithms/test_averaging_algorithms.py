@@ -4,6 +4,7 @@ A new algorithm gets an entry in MAKERS.
 """
 
 import json
+import re
 
 import cvxpy
 import numpy as np
@@ -550,14 +551,53 @@ def test_a_bad_gradient_names_agent_round_and_row(gradient, error):
         run()
 
 
-def test_a_step_that_is_too_large_diverges_to_an_error_and_not_for_ever():
+TOO_LARGE_STEPS = {
+    "gradient tracking": lambda i, w: GradientTracking(i, ONES, w, Q.gradient(i), 50.0),
+    "subgradient": lambda i, w: SubgradientMethod(i, ONES, w, Q.gradient(i), 50.0),
+    "block subgradient": lambda i, w: BlockSubgradientMethod(
+        i,
+        ONES,
+        w,
+        RandomBlocks((1, 1)),
+        ProjectedCost(Q.gradient(i)),
+        50.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TOO_LARGE_STEPS)
+def test_step_that_is_too_large_is_named_with_the_bound_that_holds_for_it(name):
+    said = refused(team(GRAPH, TOO_LARGE_STEPS[name]), GRAPH, loss=0.2)
+    assert re.search(
+        r"agent \d: step 50, round (8|16|24): found iterates that have grown from .* to .*; "
+        r"allowed: .* L.*\. Take a smaller step\.",
+        said,
+    )
+
+
+def test_gradient_that_overflows_at_a_grown_x_says_so():
     with np.errstate(over="ignore", invalid="ignore"):
         said = refused(
-            team(GRAPH, lambda i, w: GradientTracking(i, ONES, w, Q.gradient(i), 50.0)),
+            team(
+                GRAPH,
+                lambda i, w: GradientTracking(i, 9.0 * ONES, w, lambda x: x**9, 1.0),
+            ),
             GRAPH,
-            loss=0.2,
         )
     assert "gradient, round" in said
+    assert "at an x that has grown to" in said
+
+
+def test_iterates_may_grow_from_zero_to_a_far_optimum():
+    far = 1e9
+    agents = team(
+        GRAPH,
+        lambda i, w: GradientTracking(
+            i, np.zeros(2), w, lambda x: x - far, 0.05, rounds=2000
+        ),
+    )
+    simulate(agents, GRAPH)
+    np.testing.assert_allclose(agents[0].x, [far, far], rtol=1e-6)
 
 
 def test_measurements_without_a_common_point_are_named():

@@ -109,6 +109,28 @@ def test_split_constraints_are_solved_by_the_dual(seed):
         assert A[parts[owner][row]] @ x == pytest.approx(b[parts[owner][row]], abs=1e-7)
 
 
+def test_each_iterate_of_the_dual_meets_the_own_constraints_where_c_has_zeros():
+    chance = np.random.default_rng(2)
+    c = np.array([0.7, 0.0, -0.4, 0.0])
+    A = chance.normal(size=(20, 4))
+    b = A @ chance.normal(size=4) + chance.uniform(0, 2, 20)
+    graph = ring(5)
+    agents = {
+        i: DualDistributedSimplex(i, c, A[4 * i : 4 * i + 4], b[4 * i : 4 * i + 4], 2)
+        for i in range(5)
+    }
+    # A box at agent 0, so that the program is bounded from the first round on.
+    own = np.vstack([A[:4], np.eye(4), -np.eye(4)])
+    bounds = np.concatenate([b[:4], np.full(8, 20.0)])
+    agents[0] = DualDistributedSimplex(0, c, own, bounds, 2)
+    x = simulate(agents, graph, record=("x",)).of("x")
+    for i in range(5):
+        rows = slice(4 * i, 4 * i + 4)
+        assert (x[i] @ A[rows].T <= b[rows] + 1e-7).all()
+    assert (x[:, -1] @ A.T <= b + 1e-7).all()
+    np.testing.assert_array_equal(x[:, -1], [agents[0].result.x] * 5)
+
+
 def test_the_reference_program_in_no_more_rounds_than_the_search_and_its_end(
     reference_data,
 ):
