@@ -64,6 +64,7 @@ paper: $(VENV)/.installed-bench compile  ## tables and pictures of the routing's
 
 campaign: $(VENV)/.installed-test compile  ## ten thousand seeds of faults in virtual time, then the long tests
 	cd tests && ../$(BIN)/python -m campaign 0-9999
+	cd tests && ../$(BIN)/python -m campaign 0-9999 --world sim://motors
 	$(BIN)/python -m pytest -m slow
 
 clean:  ## remove the environment and all caches; out/ stays

@@ -19,22 +19,24 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from campaign import seeds
-from campaign.report import Report
+from campaign import flights, seeds
+from campaign.report import LIGHTWEIGHT, Report
 
 AGAIN = 7
 EVERY_KIND = 20
 """So many seeds have a scenario of each kind."""
 
 
-def campaign(chosen: list[int], jobs: int, console: Console) -> dict[str, Any]:
+def campaign(
+    chosen: list[int], jobs: int, console: Console, world: str
+) -> dict[str, Any]:
     """All of them; what came of it."""
     with multiprocessing.get_context("spawn").Pool(1, seeds.quiet) as pool:
         pool.map(seeds.run, range(EVERY_KIND))  # the laws are compiled then
     began, first, reports = time.perf_counter(), dict[int, str](), list[Report]()
     cpu, kinds, injected, repeated = Counter[str](), Counter[str](), Counter[str](), 0
     again = [seed for seed in chosen if seed % AGAIN == 0]
-    done = chain(each(chosen, jobs), each(again, jobs))
+    done = chain(each(chosen, jobs, world), each(again, jobs, world))
     for report, spent in track(
         done, "seeds", len(chosen) + len(again), console=console
     ):
@@ -55,7 +57,7 @@ def campaign(chosen: list[int], jobs: int, console: Console) -> dict[str, Any]:
                 highlight=False,
             )
             console.print(
-                f"  again: cd tests && python -m campaign {report.seed}",
+                f"  again: cd tests && python -m campaign {report.seed} --world {report.world}",
                 markup=False,
                 highlight=False,
             )
@@ -74,10 +76,11 @@ def campaign(chosen: list[int], jobs: int, console: Console) -> dict[str, Any]:
     }
 
 
-def each(some: list[int], jobs: int) -> Iterator[tuple[Report, float]]:
+def each(some: list[int], jobs: int, world: str) -> Iterator[tuple[Report, float]]:
     """Run these, in new processes."""
     with multiprocessing.get_context("spawn").Pool(jobs, seeds.quiet) as pool:
-        yield from pool.imap(seeds.timed, some, chunksize=4)
+        chosen = [(seed, world) for seed in some]
+        yield from pool.imap(seeds.timed, chosen, chunksize=4)
 
 
 def show(result: dict[str, Any], console: Console) -> None:
@@ -106,21 +109,27 @@ def main() -> int:
     parser.add_argument(
         "--kind", choices=sorted(seeds.KINDS), help="only these scenarios of the range"
     )
+    parser.add_argument(
+        "--world",
+        default=LIGHTWEIGHT,
+        help="uri of all drones in flight: sim:// (default), or sim://motors, for flights alone",
+    )
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--json", action="store_true")
     chosen = parser.parse_args()
     console = Console(stderr=chosen.json)
     first, _, last = chosen.seeds.partition("-")
     if not last:
-        report = seeds.run(int(first))
+        report = seeds.run(int(first), chosen.world)
         print(json.dumps(asdict(report), indent=None if chosen.json else 2))  # noqa: T201
         return int(bool(report.wrong))
     some = [
         seed
         for seed in range(int(first), int(last) + 1)
         if chosen.kind in (None, seeds.kind_of(seed))
+        and (chosen.world == LIGHTWEIGHT or seeds.kind_of(seed) in flights.KINDS)
     ]
-    result = campaign(some, chosen.jobs, console)
+    result = campaign(some, chosen.jobs, console, chosen.world)
     if chosen.json:
         print(json.dumps(result))  # noqa: T201
     else:

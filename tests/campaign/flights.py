@@ -6,6 +6,7 @@ from collections import Counter
 from itertools import combinations
 from typing import Any
 
+import msgspec
 import numpy as np
 from system.online import crash, drawn
 
@@ -276,6 +277,9 @@ def flown(
 
     until: s after the first take-off at which all are told to land; LONG: the last drone is cut off for good.
     """
+    config = config.replace(
+        drones=[msgspec.structs.replace(d, uri=report.world) for d in config.drones]
+    )
     ids, agents = config.ids, list[Agent]()
     network = faults.rules(draw, report, ids, 0.3)
     cuts = faults.partitions(draw, report, ids, 15.0)

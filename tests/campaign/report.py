@@ -7,15 +7,21 @@ from typing import Any
 import msgspec
 import numpy as np
 
+LIGHTWEIGHT = "sim://"
+"""World of a scenario in flight, unless another is asked for."""
+
 
 @dataclass
 class Report:
-    """injected: how often each fault was;  wrong: invariants that do not hold, sentence by sentence;  digest: of all
+    """world: the uri of all drones in flight.
+
+    injected: how often each fault was;  wrong: invariants that do not hold, sentence by sentence;  digest: of all
     that was computed, flown and said;  checks: invariants that were looked at.
     """
 
     seed: int
     kind: str
+    world: str = LIGHTWEIGHT
     injected: dict[str, int] = field(default_factory=dict)
     wrong: list[str] = field(default_factory=list)
     digest: str = ""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from campaign import flights, ground
-from campaign.report import Report
+from campaign.report import LIGHTWEIGHT, Report
 
 PATIENCE = 120
 """s of the processor after which a scenario hangs; of the wall clock ten times as many, if others use the processor."""
@@ -28,10 +28,10 @@ def kind_of(seed: int) -> str:
     return list(ground.KINDS)[(17 * number + rest) % len(ground.KINDS)]
 
 
-def run(seed: int) -> Report:
-    """The scenario of a seed; what it raises is an invariant that does not hold."""
+def run(seed: int, world: str = LIGHTWEIGHT) -> Report:
+    """The scenario of a seed, flown in a world; what it raises is an invariant that does not hold."""
     kind = kind_of(seed)
-    report = Report(seed, kind)
+    report = Report(seed, kind, world)
     try:
         KINDS[kind](report, np.random.default_rng([seed, 8]))
     except (Exception, Hangs) as error:  # noqa: BLE001 - it is the campaign's finding
@@ -56,15 +56,15 @@ def late(number: int, frame: Any) -> None:
     )
 
 
-def timed(seed: int) -> tuple[Report, float]:
-    """The scenario, and s of its processor."""
+def timed(chosen: tuple[int, str]) -> tuple[Report, float]:
+    """The scenario of a seed, flown in a world, and s of its processor."""
     for alarm in (signal.SIGALRM, signal.SIGPROF):
         signal.signal(alarm, late)
     signal.setitimer(signal.ITIMER_PROF, PATIENCE)
     signal.alarm(10 * PATIENCE)
     began = time.process_time()
     try:
-        return run(seed), time.process_time() - began
+        return run(*chosen), time.process_time() - began
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         signal.alarm(0)

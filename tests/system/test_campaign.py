@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pytest
 from campaign import flights, seeds
-from campaign.report import Report
+from campaign.report import LIGHTWEIGHT, Report
 
 from crazychoir.agent.agent import Agent
 from crazychoir.flight.judge import Judge
@@ -24,6 +24,13 @@ FOUND = [103, 272, 978, 4057, 5962, 6444, 6878, 8921, 9578]
 def test_invariants_hold_whatever_goes_wrong(seed):
     report = seeds.run(seed)
     assert report.wrong == [], f"again: cd tests && python -m campaign {seed}"
+    assert report.checks > 0
+
+
+@pytest.mark.parametrize("seed", [17, 18, 19])
+def test_invariants_hold_with_typical_drones_at_the_level_of_motors(seed):
+    report = seeds.run(seed, "sim://motors")
+    assert report.wrong == []
     assert report.checks > 0
 
 
@@ -57,7 +64,7 @@ def test_a_scenario_that_hangs_is_a_finding(monkeypatch):
     monkeypatch.setattr(seeds, "PATIENCE", 1)
     monkeypatch.setitem(seeds.KINDS, seeds.kind_of(0), hanging)
     ends = time.process_time() + 3.0
-    report, _ = seeds.timed(0)
+    report, _ = seeds.timed((0, LIGHTWEIGHT))
     assert report.wrong == ["Hangs: 1 s of the processor, or 10 of the wall clock"]
 
 
