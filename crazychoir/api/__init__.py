@@ -6,9 +6,28 @@ The names below are imported at their first use.
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-__all__: list[str] = []
+from crazychoir.numerics.compiling import KERNEL_QUEUE
+
+if TYPE_CHECKING:
+    from crazychoir.api.flights import Flight, fly, read
+    from crazychoir.api.sweeps import sweep
+    from crazychoir.api.table import Table
+
+__all__ = [
+    "Flight",
+    "Table",
+    "fly",
+    "read",
+    "sweep",
+]
 """The public names."""
-_MODULE_OF: dict[str, str] = {}
+_MODULE_OF = {
+    "Flight": "flights",
+    "fly": "flights",
+    "read": "flights",
+    "Table": "table",
+    "sweep": "sweeps",
+}
 """Public name: the module that defines it, below this package."""
 
 if not TYPE_CHECKING:  # hidden: a type checker would take every name for a public one
@@ -17,9 +36,10 @@ if not TYPE_CHECKING:  # hidden: a type checker would take every name for a publ
         """Import a public name at its first use, and return it (PEP 562)."""
         if name not in _MODULE_OF:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        value = globals()[name] = getattr(
-            import_module(f"{__name__}.{_MODULE_OF[name]}"), name
-        )
+        # Laws are compiled when they are needed, after errors of the user are reported.
+        with KERNEL_QUEUE.checks_first():
+            module = import_module(f"{__name__}.{_MODULE_OF[name]}")
+        value = globals()[name] = getattr(module, name)
         return value
 
     def __dir__() -> list[str]:

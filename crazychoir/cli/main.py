@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from crazychoir.cli.compute import simulate, solve
-from crazychoir.cli.fly import missions, run, virtual
+from crazychoir.cli.fly import missions, run, sweep, virtual
 from crazychoir.cli.operate import dashboard, go_to, inspect, orders, param, task
 from crazychoir.cli.recordings import (
     calibrate,
@@ -51,7 +51,11 @@ ORDER_COMMANDS = {
 }
 """The flight commands, by name."""
 COMMANDS_BY_GROUP: dict[CommandGroup, dict[str, Callable[..., None]]] = {
-    CommandGroup.fly: {"run": run.run, "missions": missions.missions},
+    CommandGroup.fly: {
+        "run": run.run,
+        "sweep": sweep.sweep,
+        "missions": missions.missions,
+    },
     CommandGroup.operate: {
         "status": inspect.status,
         "dashboard": dashboard.dashboard,

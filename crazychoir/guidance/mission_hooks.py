@@ -10,7 +10,6 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from difflib import get_close_matches
 from functools import partial
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -33,12 +32,15 @@ log = logging.getLogger(__name__)
 
 
 class MissionFile:
-    """A mission file: calls to its hooks are checked, and all other names come from its module."""
+    """A mission file: calls to its hooks are checked, and all other names come from its module.
 
-    def __init__(self, module: ModuleType) -> None:
+    A module or object that was made without a file has "" as its `__file__`.
+    """
+
+    def __init__(self, module: Any) -> None:
         """Raise ConfigError for a hook that cannot be called with its arguments."""
         self._module = module
-        self.__file__ = str(module.__file__)
+        self.__file__ = str(getattr(module, "__file__", None) or "")
         self._guarded: dict[str, Callable[..., Any]] = {}
         for name, (arguments, returns, guard) in MISSION_HOOKS.items():
             function = getattr(module, name, None)

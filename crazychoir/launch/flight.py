@@ -1,6 +1,7 @@
 """Fly a mission with all its drones, in virtual or real time, and return the result of the run."""
 
 import importlib.util
+import json
 import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -14,6 +15,7 @@ from crazychoir.agent.dead_man import ConsoleReporter, is_console
 from crazychoir.agent.drone import WAITING_TASK
 from crazychoir.agent.mission_result import ENDED_KEY, MISSION_REASONS
 from crazychoir.bus.commands import Commander
+from crazychoir.bus.json_view import to_plain_values
 from crazychoir.config.addresses import Addresses
 from crazychoir.config.checks import SWARM_LIMITS, WORLD_URIS
 from crazychoir.config.swarm_config import SwarmConfig
@@ -43,6 +45,13 @@ NO_RESULT = "its process has ended without a result; the log says how"
 NO_DRONE_MOVED = (
     "the law returned None in every step of every drone: all hovered, no drone moved"
 )
+FIGURES_KEY = "figures"
+"""Key of a recording's outcome for the figures of the flight, as JSON."""
+UNRECORDED_FIGURES = ("wall_s", "startup_s", "real_time_factor", "tracks", "log")
+"""Figures that the outcome leaves out.
+
+The times on the wall clock would make recordings of equal flights differ. Tracks and log lines are in the messages.
+"""
 SOURCES_WITHOUT_EXTRA = ("virtual", "replay")
 """Sources of [mocap] that need no extra."""
 Results = dict[int, dict[str, Any]]
@@ -75,10 +84,8 @@ def fly_fast(
             worlds=[owner.world for owner in agent.owners],
         )
         agent.services.append(score)
-        # A function, because the digest is complete only when the drones have ended.
-        outcome = lambda: {"digest": trace.digest()}  # noqa: E731
         recorder = (
-            Recorder(agent.bus, config.ids, file, outcome=outcome) if file else None
+            Recorder(agent.bus, config.ids, file, leaves_open=True) if file else None
         )
         agent.services += [recorder] if recorder else []
         ready = time.perf_counter()
@@ -91,15 +98,34 @@ def fly_fast(
             for name in ("sent", "lost", "resent")
         }
         wall = time.perf_counter() - ready
-        return summarise_flight(config, mission, results, score, clock.now(), wall) | {
+        flown = summarise_flight(config, mission, results, score, clock.now(), wall)
+        flown |= {
             "startup_s": ready - began,
             "messages": messages,
             "rounds": rounds,
             "digest": trace.digest(),
-            "recording": recorder.result() if recorder else None,
         }
+        return flown | {"recording": _end_recording(recorder, flown)}
 
     return run_virtual(main)
+
+
+def _end_recording(
+    recorder: Recorder | None, flown: Mapping[str, Any]
+) -> dict[str, Any] | None:
+    """End the file of a recorder with the figures of the flight; return the recorder's outcome.
+
+    Returns None without a recorder.
+    """
+    if recorder is None:
+        return None
+    figures = {name: x for name, x in flown.items() if name not in UNRECORDED_FIGURES}
+    told = {FIGURES_KEY: json.dumps(to_plain_values(figures), default=str)}
+    if flown["digest"] is not None:
+        told["digest"] = flown["digest"]
+    recorder.file.note(told)
+    recorder.file.close()
+    return recorder.result()
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +183,14 @@ def fly_real(
             unseen=config.topology.unseen,
         )
         recorder = (
-            Recorder(link.bus, config.ids, file, address, config.topology.source)
+            Recorder(
+                link.bus,
+                config.ids,
+                file,
+                address,
+                config.topology.source,
+                leaves_open=True,
+            )
             if file
             else None
         )
@@ -179,12 +212,9 @@ def fly_real(
             )
         ready = began if score.go_at is None else score.go_at
         wall = clock.now() - ready
-        return summarise_flight(
-            config, mission, results, score, wall, wall, started
-        ) | {
-            "startup_s": ready - began,
-            "recording": recorder.result() if recorder else None,
-        }
+        flown = summarise_flight(config, mission, results, score, wall, wall, started)
+        flown["startup_s"] = ready - began
+        return flown | {"recording": _end_recording(recorder, flown)}
 
     return run_wall(main)
 

@@ -7,7 +7,7 @@ in the log, and nothing else.
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
@@ -72,8 +72,8 @@ class Recorder(Actor):
         network. None on the bus of the drones: then each drone reads its own topics, so the
         recorder changes no other drone and no count of messages
     source: returns the address that publishes a topic of drone i
-    outcome: returns further texts for the end of the file
     topics: the topics to record
+    leaves_open: whether its maker ends the file, after the recorder has ended
     ended: why the recording ended, for the end of the file
     """
 
@@ -86,14 +86,14 @@ class Recorder(Actor):
         file: RecordingFile,
         observer: int | None = None,
         source: Callable[[Topic, int], int] = lambda topic, i: i,
-        outcome: Callable[[], Mapping[str, str]] = dict,
         topics: Sequence[str] = OBSERVABLE_TOPICS,
+        leaves_open: bool = False,
     ) -> None:
         self.bus = bus
         self.clock = bus.clock
         self.file = file
         self.ended = "its flight has ended"
-        self._outcome = outcome
+        self._leaves_open = leaves_open
         self._series: dict[tuple[int, str, Any], tuple[Series, Pack]] = {}
         self._waiting: list[RecordingEntry] = []
         self._bytes = 0
@@ -128,14 +128,14 @@ class Recorder(Actor):
                 return
 
     async def on_stop(self) -> None:
-        """Write the remaining messages and the index."""
-        await self.clock.compute(
-            self._finish, self._waiting, {"ended": self.ended, **self._outcome()}
-        )
+        """Write the remaining messages, and the index unless the maker of the file does."""
+        await self.clock.compute(self._finish, self._waiting)
 
-    def _finish(self, batch: list[RecordingEntry], outcome: Mapping[str, str]) -> None:
+    def _finish(self, batch: list[RecordingEntry]) -> None:
         self.file.write(batch)
-        self.file.close(outcome)
+        self.file.note({"ended": self.ended})
+        if not self._leaves_open:
+            self.file.close()
 
     def result(self) -> dict[str, Any]:
         """Return the outcome of the recording as a dictionary."""

@@ -19,6 +19,7 @@ ROOMS = {
     ),
     "mocap": ("crazychoir/mocap/reader.py",),
     "ros2": ("crazychoir/recording/ros/rmw_zenoh.py",),
+    "tables": ("crazychoir/api/",),
     "bench": ("crazychoir/bench/", "crazychoir/cli/compute/bench"),
 }
 """The files that may import what an extra brings, by the beginnings of their paths."""
@@ -133,7 +134,7 @@ def groups(repository):
 
 
 def test_the_tests_have_the_extras_that_they_need(groups):
-    assert "crazychoir[dashboard,mocap,mujoco,ros2]" in groups["test"]
+    assert "crazychoir[dashboard,mocap,mujoco,ros2,tables]" in groups["test"]
     assert "crazychoir[bench]" in groups["bench"]
 
 

@@ -1,8 +1,6 @@
 """Fly a mission on this machine: `crazychoir run`."""
 
-import time
 from contextlib import nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,6 +24,7 @@ from crazychoir.launch.console import (
 from crazychoir.numerics.compiling import KERNEL_QUEUE
 
 if TYPE_CHECKING:
+    from crazychoir.api.flying import ChosenFlight
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.guidance.mission import Mission
     from crazychoir.launch.fork_server import ForkServer
@@ -95,20 +94,15 @@ def run(
     with nullcontext() if fast else ForkServer() as server:
         with KERNEL_QUEUE.checks_first():
             # These imports take 1 s, which --help does not need.
+            from crazychoir.api.flight_request import FlightRequest
+            from crazychoir.api.flying import ChosenFlight, require_flyable
             from crazychoir.cli.shared.chosen_swarm import (
                 check_options,
                 drones_to_start,
-                resolve_swarm_file,
-                swarm_and_mission_to_run,
+                naming_options,
                 with_operator,
             )
             from crazychoir.guidance.mission import check_before_flight
-            from crazychoir.launch.flight import (
-                list_dongles,
-                list_owners,
-                require_extras,
-            )
-            from crazychoir.radio.link.ownership import require_free
 
         outputs = CommandOutputs()
         given = {
@@ -120,33 +114,22 @@ def run(
         try:
             check_options(what, swarm, only, given)
             with redirect_prints(), refuse_exit("the mission"):
-                with KERNEL_QUEUE.checks_first():
-                    config, mission = swarm_and_mission_to_run(
-                        what, drones, swarm, loss, seed
-                    )
+                with KERNEL_QUEUE.checks_first(), naming_options():
+                    request = FlightRequest(what, drones, swarm, loss, seed)
+                    config, mission = request.choose()
                     config = with_operator(config, wait, fast)
                     require_drawable(picture)
                     started = drones_to_start(only, config)
-                    source = resolve_swarm_file(what, swarm)
-                    require_extras(
-                        config, [] if fast else list_owners(config, started), fast
-                    )
-                    if not fast:
-                        require_free(config, list_dongles(config, started))
-                    named = {} if source is None else {"swarm": config.name}
+                    require_flyable(config, started, fast)
+                    named = {} if request.swarm_file is None else {"swarm": config.name}
                     warned = check_before_flight(mission, config, force)
-                flight = _ChosenFlight(what, source, mission, started, record)
+                flight = ChosenFlight(
+                    what, request.swarm_file, mission, started, record, only is None
+                )
                 with LiveTable(build_status_table, enabled=not as_json) as progress:
                     for text in warned:
                         progress.say(text)
-                    if server is None:
-                        config, result = _fly_in_virtual_time(flight, config, progress)
-                    else:
-                        server.prepare()
-                        own = only is None
-                        config, result = _fly_in_real_time(
-                            server, flight, config, own, processes, progress
-                        )
+                    config, result = _fly(flight, config, server, processes, progress)
                 result["picture"] = None
                 with outputs.writing("--picture"):
                     result["picture"] = _draw_requested(
@@ -163,85 +146,31 @@ def run(
         raise typer.Exit(0 if result["success"] and not outputs.failed else 1)
 
 
-@dataclass(frozen=True, slots=True)
-class _ChosenFlight:
-    """Which mission flies, with which drones, and where it is recorded."""
-
-    what: str
-    """The mission or swarm file, as given."""
-    source: str | None
-    """Resolved path of the swarm file; None without one."""
-    mission: "Mission"
-    started: tuple[int, ...]
-    """Drones that this host starts."""
-    recording: Path | None
-    """New file to record into."""
-
-
-def _fly_in_virtual_time(
-    flight: _ChosenFlight, config: "SwarmConfig", progress: "Progress"
-) -> tuple["SwarmConfig", dict[str, Any]]:
-    """Fly in this process; return the swarm and the result."""
-    from crazychoir.launch.flight import fly_fast
-    from crazychoir.launch.recording import open_recording_file
-
-    recording = open_recording_file(
-        flight.recording, config, flight.mission, virtual=True
-    )
-    began = time.perf_counter()
-    KERNEL_QUEUE.compile()
-    compiled_s = time.perf_counter() - began
-    with recording as file:
-        result = fly_fast(config, flight.mission, progress, file)
-    result["startup_s"] += compiled_s
-    return config, result
-
-
-def _fly_in_real_time(
-    server: "ForkServer",
-    flight: _ChosenFlight,
+def _fly(
+    flight: "ChosenFlight",
     config: "SwarmConfig",
-    own: bool,
+    server: "ForkServer | None",
     processes: int | None,
     progress: "Progress",
 ) -> tuple["SwarmConfig", dict[str, Any]]:
-    """Fly in processes of their own; return the swarm that has flown and the result.
+    """Fly, and show the flight; return the swarm that has flown and the result.
 
-    server: makes the processes
-    own: whether the swarm gets addresses of its own on this machine.
-    processes: number of processes; None: as the swarm file says.
+    server: makes the processes; None for virtual time
+    processes: number of processes; None: as the swarm file says
     """
-    from crazychoir.launch.flight import FlightDisplay, fly_real
-    from crazychoir.launch.network import hold_isolated_swarm, write_swarm_file
-    from crazychoir.launch.processes import SwarmLauncher
-    from crazychoir.launch.recording import open_recording_file
-    from crazychoir.launch.run_registry import RunRecord, record_run
+    from crazychoir.api.flying import fly_in_real_time, fly_in_virtual_time
+    from crazychoir.launch.flight import FlightDisplay
 
-    held = (
-        hold_isolated_swarm(config, processes, keeps_port=True)
-        if own
-        else nullcontext(config)
-    )
-    with (
-        held as config,
-        open_recording_file(
-            flight.recording, config, flight.mission, virtual=False
-        ) as file,
-        write_swarm_file(config) as path,
-        record_run(RunRecord(config.name, flight.what, flight.source, str(path))),
-    ):
+    if server is None:
+        return fly_in_virtual_time(flight, config, progress)
+
+    def announce(path: Path) -> None:
         progress.say(
             f"Look into it (or echo, hz, land, stop): crazychoir status --swarm {path}"
         )
-        result = fly_real(
-            SwarmLauncher(server, path),
-            config,
-            flight.mission,
-            FlightDisplay(progress, progress.say),
-            flight.started,
-            file,
-        )
-    return config, result
+
+    display = FlightDisplay(progress, progress.say)
+    return fly_in_real_time(server, flight, config, processes, display, announce)
 
 
 def _draw_requested(

@@ -7,7 +7,7 @@ import typer
 from rich import box
 from rich.table import Table
 
-from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.errors import CrazyChoirError
 from crazychoir.files.output_files import output_file, require_writable_folder
 from crazychoir.launch.console import (
     ANSWER_CONSOLE,
@@ -19,10 +19,8 @@ from crazychoir.launch.console import (
 )
 
 if TYPE_CHECKING:
-    from crazychoir.recording.analysis.activity import FlightActivity
-    from crazychoir.recording.analysis.communication import TeamMessages
-    from crazychoir.recording.analysis.figures import RecordedFlight
-    from crazychoir.recording.analysis.plots import Pictures, Reasons
+    from crazychoir.api.recorded_data import RecordedData
+    from crazychoir.recording.analysis.plots import Pictures
     from crazychoir.recording.mcap.reading import Recording
 
 FIGURE_HEADINGS = {
@@ -63,32 +61,23 @@ def plot(
     The tables (CSV) are written beside the pictures.
     """
     set_up_logging()
-    from crazychoir.bus.topics import (
-        DRONE_TOPICS,
+    from crazychoir.api.recorded_data import (
+        read_data,
     )  # takes 1 s, which --help does not need
-    from crazychoir.recording.analysis.activity import read_activity
-    from crazychoir.recording.analysis.communication import read_team_messages
-    from crazychoir.recording.analysis.figures import FLIGHT_TOPICS, recorded_flight
-    from crazychoir.recording.mcap.reading import read
 
     outputs = CommandOutputs()
     folder = out or file.with_suffix("")
     files: list[Path] = []
     try:
-        recording = read(
-            file, (*FLIGHT_TOPICS, DRONE_TOPICS.status.name, DRONE_TOPICS.result.name)
-        )
-        flight = recorded_flight(recording)
-        began, ended = recording.seconds
-        work = read_activity(file, began)
-        talk = read_team_messages(file, began)
-        pictures, missing = _pictures(file, flight, work, talk)
+        data = read_data(file)
+        pictures, missing = data.pictures()
         require_writable_folder(folder, "--out")
         with outputs.writing("--out"):
-            _write(flight, work, talk, pictures, folder, files)
+            _write(data, pictures, folder, files)
     except CrazyChoirError as error:
         exit_with_error(error, as_json)
-    figures = {"seconds": ended - began, **flight.figures()}
+    recording = data.recording
+    figures = data.figures()
     warn_of_gaps(recording, f"only its first {figures['seconds']:.1f} s are there")
     if as_json:
         told = {"file": file, **recording.lacks, "about": recording.about}
@@ -118,55 +107,15 @@ def plot(
         raise typer.Exit(1)
 
 
-def _pictures(
-    file: Path, flight: "RecordedFlight", work: "FlightActivity", talk: "TeamMessages"
-) -> "tuple[Pictures, Reasons]":
-    """Return the pictures that can be drawn, and for each other picture the reason.
-
-    Raises ConfigError if nothing can be drawn.
-    """
-    from crazychoir.recording.analysis.plots import flight_pictures
-    from crazychoir.recording.analysis.team_plots import team_pictures
-    from crazychoir.recording.mcap.reading import EXPECTED_RECORDING
-    from crazychoir.recording.mcap.records import RECORDING_HINT
-
-    (pictures, missing), (more, without) = (
-        flight_pictures(flight),
-        team_pictures(flight, work, talk),
-    )
-    pictures = pictures | more
-    missing = missing | without
-    if not pictures:
-        raise ConfigError(
-            str(file),
-            "; ".join(dict.fromkeys(missing.values())),
-            EXPECTED_RECORDING,
-            RECORDING_HINT,
-        )
-    return pictures, missing
-
-
 def _write(
-    flight: "RecordedFlight",
-    work: "FlightActivity",
-    talk: "TeamMessages",
-    pictures: "Pictures",
-    folder: Path,
-    files: list[Path],
+    data: "RecordedData", pictures: "Pictures", folder: Path, files: list[Path]
 ) -> None:
     """Draw and write the files into the folder; each written file is appended to `files`."""
     from crazychoir.recording.analysis.plots import draw
 
-    tables = {f"drone{track.drone}": track.write for track in flight.tracks}
-    tables |= {
-        "tasks": work.write,
-        "messages": talk.write,
-        "rounds": talk.write_rounds,
-        "convergence": talk.write_history,
-    }
     for name, picture in pictures.items():
         files += draw({name: picture}, folder)
-    for name, write in tables.items():
+    for name, write in data.tables().items():
         path = folder / f"{name}.csv"
         with output_file(path, "--out") as place:
             write(place)

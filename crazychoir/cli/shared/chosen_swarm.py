@@ -1,20 +1,22 @@
 """The swarm and the mission that a command line names."""
 
-from pathlib import Path
+import contextlib
+from collections.abc import Iterator
+from dataclasses import fields
 from typing import Any
 
 import msgspec
 
+from crazychoir.api.flight_request import FlightRequest, replace_swarm_values
 from crazychoir.config.addresses import Addresses
 from crazychoir.config.number_lists import parse_spans
-from crazychoir.config.swarm_config import SwarmConfig, default_swarm, find_swarm
+from crazychoir.config.swarm_config import SwarmConfig, find_swarm
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.mission import Mission, has_hook, load_mission
+from crazychoir.guidance.mission import has_hook, load_mission
 from crazychoir.team.graph import describe_ids
 
-DEFAULT_DRONE_COUNT = 4
-"""Number of drones for a mission that brings no swarm of its own."""
-SWARM_FILE_SUFFIXES = (".toml", ".json")
+REQUEST_VALUES = tuple(field.name for field in fields(FlightRequest))
+"""Names of the values that a user asks for."""
 
 
 def configured_swarm(
@@ -49,62 +51,17 @@ def chosen_swarm(
     return config, which
 
 
-def resolve_swarm_file(what: str, swarm: str | None) -> str | None:
-    """Return the resolved path of the swarm file given to `crazychoir run`; None without a file."""
-    file = what if what.endswith(SWARM_FILE_SUFFIXES) else swarm
-    return None if file is None else str(Path(file).resolve())
-
-
-def replace_swarm_values(
-    config: SwarmConfig, loss: float | None, seed: int | None, mission: str | None
-) -> SwarmConfig:
-    """Return the swarm with each value replaced that is not None."""
-    changes: dict[str, Any] = {}
-    if loss is not None:
-        config = config.with_network(loss=loss)
-    if seed is not None:
-        changes["seed"] = seed
-    if mission is not None:
-        changes["mission"] = mission
-    return config.replace(**changes) if changes else config
-
-
-def swarm_and_mission_to_run(
-    what: str,
-    drones: int | None,
-    swarm: str | None,
-    loss: float | None,
-    seed: int | None,
-) -> tuple[SwarmConfig, Mission]:
-    """Return the swarm and the mission of `crazychoir run`.
-
-    Raises ConfigError if a swarm file names no mission, or if the mission cannot fly this number
-    of drones.
-    """
-    if what.endswith(SWARM_FILE_SUFFIXES):
-        config = SwarmConfig.load(what)
-        if config.mission is None:
-            raise ConfigError(what, "no mission", 'mission = "name"')
-        return replace_swarm_values(config, loss, seed, None), load_mission(
-            config.mission
-        )
-    mission = load_mission(what)
-    if swarm is not None:
-        return replace_swarm_values(SwarmConfig.load(swarm), loss, seed, what), mission
-    own = (
-        mission.swarm(drones)
-        if has_hook(mission, "swarm")
-        else default_swarm(drones or DEFAULT_DRONE_COUNT)
-    )
-    config = replace_swarm_values(own, loss, seed, what)
-    if drones not in (None, len(config.ids)):
+@contextlib.contextmanager
+def naming_options() -> Iterator[None]:
+    """Name the option, as --drones, in each error that names a value of a FlightRequest."""
+    try:
+        yield
+    except ConfigError as error:
+        if error.where not in REQUEST_VALUES:
+            raise
         raise ConfigError(
-            "--drones",
-            drones,
-            f"{len(config.ids)}: mission {what} needs this number of drones",
-        )
-    scatter = getattr(mission, "scatter", None)
-    return (scatter(config) if scatter else config), mission
+            f"--{error.where}", error.found, error.allowed, error.do, error.problem
+        ) from error
 
 
 def check_options(
@@ -117,23 +74,15 @@ def check_options(
     only: value of --only
     given: value of each option that concerns a whole swarm on this machine, by option
     """
-    own_file = swarm is not None or what.endswith(SWARM_FILE_SUFFIXES)
-    if swarm is not None and what.endswith(SWARM_FILE_SUFFIXES):
-        raise ConfigError("--swarm", f"{swarm} beside {what}", "one swarm file")
-    if own_file and given["--drones"]:
-        do = "Change the [[drones]] of the file."
-        raise ConfigError(
-            "--drones",
-            f"{given['--drones']} beside a swarm file",
-            "the drones of that file",
-            do,
-        )
+    request = FlightRequest(what, given["--drones"], swarm)
+    with naming_options():
+        request.require_one_source()
     if given["--fast"] and given["--processes"]:
         raise ConfigError(
             "--processes", "--fast beside it", "no --fast: virtual time is one process"
         )
     if only is not None:
-        _check_only(only, what, own_file, given)
+        _check_only(only, what, request.has_swarm_file, given)
 
 
 def _check_only(only: str, what: str, own_file: bool, given: dict[str, Any]) -> None:

@@ -105,8 +105,8 @@ class RecordedTrack:
             "estimation_rmse_m": rms(self.estimation),
         }
 
-    def write(self, path: Path) -> None:
-        """Write a CSV file, one row a time; nan where there is no value."""
+    def table(self) -> Mat:
+        """Return TRACK_COLUMNS, one row a time (n, 19); NaN where there is no value."""
         parts = (
             self.t,
             self.p,
@@ -117,9 +117,13 @@ class RecordedTrack:
             self.tracking,
             self.estimation,
         )
+        return np.column_stack(parts)
+
+    def write(self, path: Path) -> None:
+        """Write a CSV file, one row a time; nan where there is no value."""
         np.savetxt(
             path,
-            np.column_stack(parts),
+            self.table(),
             fmt="%.6f",
             delimiter=",",
             header=",".join(TRACK_COLUMNS),

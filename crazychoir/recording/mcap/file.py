@@ -117,6 +117,7 @@ class RecordingFile:
         self._fd = _create(path)
         self._turn = threading.Lock()
         self._synced_ns = 0
+        self._outcome: dict[str, str] = {}
         self._schemas: dict[str, int] = {}
         self._writer = McapWriter()
         self._writer.begin(profile="ros2", library=f"crazychoir {about['version']}")
@@ -147,11 +148,14 @@ class RecordingFile:
             if count and self.written == before:
                 self.lost += count
 
+    def note(self, outcome: Mapping[str, str]) -> None:
+        """Keep texts about the outcome for the end of the file; `ended` is the reason of the end."""
+        self._outcome |= outcome
+
     def close(self, outcome: Mapping[str, str] | None = None) -> None:
         """End the file with the outcome and the index; a file without a message is removed.
 
-        outcome: texts; `ended` is the reason of the end. The counts of lost and missed messages
-            are always added.
+        outcome: more texts, as for `note`. The counts of lost and missed messages are always added.
         """
         with self._turn:
             if self._fd < 0:
@@ -161,6 +165,7 @@ class RecordingFile:
                     "lost": str(self.lost),
                     "missed": str(self.missed),
                     "ended": RECORDING_FORMAT.unknown_ending,
+                    **self._outcome,
                     **(outcome or {}),
                 }
                 self._writer.metadata(

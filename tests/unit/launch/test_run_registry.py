@@ -13,8 +13,8 @@ from dataclasses import asdict, replace
 import pytest
 from other_user import as_user, require
 
+from crazychoir.api.flight_request import FlightRequest
 from crazychoir.cli.shared import running_swarm as meant
-from crazychoir.cli.shared.chosen_swarm import resolve_swarm_file
 from crazychoir.cli.shared.running_swarm import (
     NEXT_PROCESS_TIMEOUT,
     SWARM_SEARCH,
@@ -53,7 +53,7 @@ def run_of(folder, name, source=None):
     return RunRecord(
         name,
         source or "pickup_delivery",
-        source and resolve_swarm_file(source, None),
+        source and FlightRequest(source).swarm_file,
         str(file),
     )
 

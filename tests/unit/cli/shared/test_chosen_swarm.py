@@ -3,10 +3,9 @@ import pytest
 from crazychoir.cli.shared.chosen_swarm import (
     check_options,
     drones_to_start,
-    replace_swarm_values,
-    swarm_and_mission_to_run,
+    naming_options,
 )
-from crazychoir.config.swarm_config import SwarmConfig, default_swarm
+from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ConfigError
 
 PAIRS = default_swarm(4).replace(processes=[[0, 1], [2], [3]])
@@ -83,37 +82,11 @@ def test_an_option_that_would_say_nothing_is_refused(what, swarm, given, said):
     )
 
 
-def test_the_command_line_changes_what_it_names_and_nothing_else():
-    config = PAIRS.replace(network={"loss": 0.1, "delay": 0.02})
-    assert replace_swarm_values(config, None, None, None) is config
-    other = replace_swarm_values(config, 0.5, 7, "bearing_formation")
-    assert (other.network.loss, other.network.delay) == (0.5, 0.02)
-    assert (other.seed, other.mission) == (7, "bearing_formation")
-    assert other.ids == config.ids
-
-
-def test_a_swarm_file_keeps_its_name_and_ports(tmp_path):
-    path = tmp_path / "swarm.json"
-    path.write_text(PAIRS.replace(mission="bearing_formation", base_port=7999).dumps())
-    assert swarm_and_mission_to_run(str(path), None, None, None, None)[
-        0
-    ] == SwarmConfig.load(path)
-    config, mission = swarm_and_mission_to_run(
-        "bearing_formation", None, str(path), None, 3
-    )
-    assert (config.name, config.base_port, config.seed) == (PAIRS.name, 7999, 3)
-    assert callable(mission.guidance)
-
-
-def test_a_mission_without_a_swarm_of_its_own_gets_one(tmp_path):
-    path = tmp_path / "mission.py"
-    path.write_text("def guidance(i, config): ...\n")
-    assert swarm_and_mission_to_run(str(path), None, None, None, None)[0].ids == (
-        0,
-        1,
-        2,
-        3,
-    )
-    assert swarm_and_mission_to_run(str(path), 6, None, None, None)[0].ids == tuple(
-        range(6)
-    )
+def test_an_error_of_a_value_names_its_option():
+    with (
+        pytest.raises(ConfigError, match=r"^--drones: found 7; allowed: 4"),
+        naming_options(),
+    ):
+        raise ConfigError("drones", 7, "4")
+    with pytest.raises(ConfigError, match=r"^swarm a: found 7"), naming_options():
+        raise ConfigError("swarm a", 7, "4")

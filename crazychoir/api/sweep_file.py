@@ -1,0 +1,107 @@
+"""The file of a sweep: a line of JSON a run, so that an interrupted sweep goes on where it was."""
+
+import fcntl
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import IO, Any, Self
+
+from crazychoir.api.sweep_rows import Row
+from crazychoir.errors import ConfigError
+from crazychoir.files.output_files import output_file, require_writable_file
+
+ROW_KEY = "key"
+"""Name of the key of a run in its line."""
+
+
+class SweepFile:
+    """Keeps the rows of a sweep in a file, for the `with` block.
+
+    While the sweep flies, rows are added in the order in which the runs end. At its end they are
+    written in the order of the sweep: the file is the same however often the sweep was interrupted.
+
+    path: the file
+    keys: key of each run, in the order of the sweep; equal keys mean equal rows
+
+    Attributes:
+    rows: {key: row} of the runs that have ended
+    Raises ConfigError if the file has runs of another sweep, or another sweep writes it now.
+    """
+
+    def __init__(self, path: Path, keys: Sequence[str]) -> None:
+        self.path = path
+        self.rows: dict[str, Row] = {}
+        self._keys = list(keys)
+
+    def __enter__(self) -> Self:
+        require_writable_file(self.path, "file", parents=True)
+        self._file: IO[str] = self.path.open("a+", encoding="utf-8")
+        try:
+            self._lock()
+            self._read()
+        except BaseException:
+            self._file.close()
+            raise
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._file.close()
+
+    def _lock(self) -> None:
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            found = "a file that another sweep writes"
+            raise ConfigError(str(self.path), found, "a file of its own") from None
+
+    def _read(self) -> None:
+        """Read the rows of an earlier sweep, and remove a line that was not written to its end."""
+        self._file.seek(0)
+        others = 0
+        length = 0
+        for line in self._file.read().splitlines(keepends=True):
+            try:
+                row = json.loads(line)
+                key = row.pop(ROW_KEY)
+            except (ValueError, KeyError, AttributeError):
+                break
+            length += len(line.encode())
+            if key in self._keys:
+                self.rows[key] = row
+            else:
+                others += 1
+        if others or (
+            length == 0 and self._file.tell() > 0 and not self._is_cut_line()
+        ):
+            found = f"{others} runs of another sweep" if others else "another file"
+            do = (
+                "Name another file, or remove it. A sweep is another one if its mission, swarm, options or "
+                "version has changed, or if it leaves runs out."
+            )
+            raise ConfigError(
+                str(self.path), found, "a new file, or that of this sweep", do
+            )
+        self._file.truncate(length)
+
+    def _is_cut_line(self) -> bool:
+        """Return whether the file is the beginning of a first line of a sweep."""
+        self._file.seek(0)
+        start = f'{{"{ROW_KEY}": '
+        text = self._file.read(len(start))
+        return start.startswith(text)
+
+    def add(self, key: str, row: Row) -> None:
+        """Add the row of a run that has ended."""
+        self.rows[key] = row
+        self._file.write(_format_line(key, row))
+        self._file.flush()
+
+    def finish(self) -> None:
+        """Write all rows in the order of the sweep."""
+        lines = [_format_line(key, self.rows[key]) for key in self._keys]
+        with output_file(self.path, "file") as place:
+            place.write_text("".join(lines), encoding="utf-8")
+
+
+def _format_line(key: str, row: Mapping[str, Any]) -> str:
+    return json.dumps({ROW_KEY: key, **row}) + "\n"
