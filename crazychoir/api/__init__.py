@@ -9,15 +9,19 @@ from typing import TYPE_CHECKING
 from crazychoir.numerics.compiling import KERNEL_QUEUE
 
 if TYPE_CHECKING:
+    from crazychoir.api.computing import Simulation, simulate, solve
     from crazychoir.api.flights import Flight, fly, read
     from crazychoir.api.sweeps import sweep
     from crazychoir.api.table import Table
 
 __all__ = [
     "Flight",
+    "Simulation",
     "Table",
     "fly",
     "read",
+    "simulate",
+    "solve",
     "sweep",
 ]
 """The public names."""
@@ -27,6 +31,9 @@ _MODULE_OF = {
     "read": "flights",
     "Table": "table",
     "sweep": "sweeps",
+    "Simulation": "computing",
+    "simulate": "computing",
+    "solve": "computing",
 }
 """Public name: the module that defines it, below this package."""
 

@@ -14,6 +14,7 @@ from crazychoir.types import Vec
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +43,8 @@ class PictureStyle:
 PICTURE_STYLE = PictureStyle()
 
 
+CONVERGENCE_SIZE = (6.4, 5.2)
+"""Width and height of the picture, in inches."""
 MOST_DRAWN_ENTRIES = 4
 """Number of entries of x that are drawn."""
 
@@ -70,10 +73,23 @@ def draw_convergence(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    figure = Figure(figsize=CONVERGENCE_SIZE, dpi=200, layout="constrained")
+    FigureCanvasAgg(figure)
+    fill_convergence(figure, series, name, title, times, common)
+    save_figure(figure, path, bbox_inches="tight")
+
+
+def fill_convergence(
+    figure: "Figure",
+    series: Mapping[int, Any],
+    name: str,
+    title: str = "",
+    times: Mapping[int, Vec] | None = None,
+    common: bool = True,
+) -> None:
+    """Draw the picture of `draw_convergence` into an empty figure."""
     x = {i: _stack_entries(i, name, values) for i, values in series.items()}
     at = times or {i: np.arange(len(values), dtype=float) for i, values in x.items()}
-    figure = Figure(figsize=(6.4, 5.2), dpi=200, layout="constrained")
-    FigureCanvasAgg(figure)
     above, below = figure.subplots(2, 1, sharex=True)
     _draw_entries(above, x, at, name)
     _draw_distances(below, x, at, common)
@@ -85,7 +101,6 @@ def draw_convergence(
     figure.suptitle(
         make_readable(title), color=PICTURE_STYLE.ink, fontsize=10, parse_math=False
     )
-    save_figure(figure, path, bbox_inches="tight")
 
 
 def _stack_entries(i: int, name: str, values: Any) -> Vec:

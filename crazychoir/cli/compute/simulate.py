@@ -29,8 +29,6 @@ from crazychoir.numerics.compiling import KERNEL_QUEUE
 
 if TYPE_CHECKING:
     from crazychoir.optimization.history import History
-    from crazychoir.team.graph import Graph
-    from crazychoir.team.round import Round
 
     Seen = tuple[str, Mapping[int, Any]]
 
@@ -121,6 +119,7 @@ def simulate(
     """
     set_up_logging()
     with KERNEL_QUEUE.checks_first():
+        from crazychoir.api.computing import make_team
         from crazychoir.optimization.history import require_suffix
         from crazychoir.solve import (
             simulate as simulation,
@@ -139,7 +138,8 @@ def simulate(
             require_writable_file(save, "--save")
         with redirect_prints(), refuse_exit("the algorithm"):
             with KERNEL_QUEUE.checks_first():
-                links, team = _make_team(file, agents, graph, seed, directed)
+                links = options.build_named_graph(graph, agents, seed, directed)
+                team = make_team(file, links)
                 names = simulation.list_recorded_names(team, asked)
                 if picture is not None and not names:
                     raise ConfigError(
@@ -232,38 +232,6 @@ class _ProgressDisplay:
         Asynchronous agents make different numbers of steps: of these it is the mean.
         """
         return f"round {self.steps // len(team)}, {self.end}"
-
-
-def _make_team(
-    file: Path, agents: int, graph: str, seed: int, directed: bool
-) -> "tuple[Graph, dict[int, Round]]":
-    """Return the graph and the agents that the file makes for it.
-
-    Raises ConfigError if the file defines no agent(i, graph), or if it returns no agent.
-    """
-    from crazychoir.guidance.mission import import_from_file
-    from crazychoir.guidance.user_hook import Hook
-    from crazychoir.team.round import Round
-
-    links = options.build_named_graph(graph, agents, seed, directed)
-    module = import_from_file(file, "algorithm")
-    make = getattr(module, "agent", None)
-    if make is None:
-        allowed = "a file that defines agent(i, graph)"
-        raise ConfigError(f"algorithm {file}", "no function agent(i, graph)", allowed)
-    returns = "an agent: message(), step(heard), done"
-    hook = Hook(
-        str(module.__file__), "agent", make, ("i", "graph"), returns, "algorithm"
-    )
-    hook.check()
-    team = {i: hook(i, links) for i in links.ids}
-    for i, one in team.items():
-        if not isinstance(one, Round):
-            missing = ", ".join(
-                name for name in ("message", "step", "done") if not hasattr(one, name)
-            )
-            raise hook.wrong(f"{type(one).__name__} for agent {i}, without {missing}")
-    return links, team
 
 
 def _draw(

@@ -8,7 +8,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.errors import CrazyChoirError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
     ANSWER_CONSOLE,
@@ -90,9 +90,9 @@ def solve(
     bound_relaxation: the kind of routes that priced a bound that is not exact.
     """
     set_up_logging()
-    from crazychoir.routing.distributed.member import ProofSettings, RoutingSettings
+    from crazychoir.api.computing import choose_solve_options
+    from crazychoir.cli.shared.chosen_swarm import naming_options
     from crazychoir.routing.instance.instance import Instance
-    from crazychoir.solve.solve_options import SolveOptions
     from crazychoir.solve.solving import solve_here
     from crazychoir.solve.team import (
         solve_in_processes,
@@ -101,16 +101,9 @@ def solve(
     outputs = CommandOutputs()
     try:
         require_drawable(picture)
-        if loss >= 1.0:
-            raise ConfigError(
-                "--loss",
-                loss,
-                "less than 1: robots that hear nothing of each other agree on nothing",
-            )
         problem = Instance.load(instance)
-        options.build_named_graph(graph, problem.robots, seed)
-        settings = RoutingSettings(proof=ProofSettings(prove=prove))
-        how = SolveOptions(method, loss, graph, seed, settings)
+        with naming_options():
+            how = choose_solve_options(problem, method, loss, graph, seed, prove)
         if processes is None:
             with LiveTable(_team_table, enabled=not as_json) as shown:
                 result = solve_here(problem, how, watch=shown)

@@ -15,8 +15,8 @@ from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission import has_hook, load_mission
 from crazychoir.team.graph import describe_ids
 
-REQUEST_VALUES = tuple(field.name for field in fields(FlightRequest))
-"""Names of the values that a user asks for."""
+REQUEST_VALUES = (*(field.name for field in fields(FlightRequest)), "graph")
+"""Names of values of the Python interface that are options of the command line."""
 
 
 def configured_swarm(
@@ -53,7 +53,7 @@ def chosen_swarm(
 
 @contextlib.contextmanager
 def naming_options() -> Iterator[None]:
-    """Name the option, as --drones, in each error that names a value of a FlightRequest."""
+    """Name the option, as --drones, in each error that names a value of the Python interface."""
     try:
         yield
     except ConfigError as error:

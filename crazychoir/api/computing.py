@@ -1,0 +1,180 @@
+"""Compute without flight: solve a routing instance, simulate a distributed algorithm."""
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from crazychoir.errors import ConfigError
+from crazychoir.guidance.mission import import_from_file
+from crazychoir.guidance.user_hook import Hook
+from crazychoir.numerics.compiling import KERNEL_QUEUE
+from crazychoir.optimization.history import History
+from crazychoir.routing.distributed.member import ProofSettings, RoutingSettings
+from crazychoir.routing.instance.instance import Instance
+from crazychoir.solve import simulate as simulation
+from crazychoir.solve.solve_options import DEFAULT_SOLVE_OPTIONS, SolveOptions
+from crazychoir.solve.solving import solve_here
+from crazychoir.solve.team import solve_in_processes
+from crazychoir.team.graph import Graph, graph_from_name
+from crazychoir.team.round import Round
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+DEFAULT_AGENT_COUNT = 10
+"""Number of agents where neither the graph nor the caller says one."""
+SOLVE_DEFAULTS = DEFAULT_SOLVE_OPTIONS
+
+
+def solve(
+    instance: str | Path | Instance,
+    *,
+    method: str = SOLVE_DEFAULTS.method,
+    loss: float = SOLVE_DEFAULTS.loss,
+    graph: str = SOLVE_DEFAULTS.graph,
+    seed: int = SOLVE_DEFAULTS.seed,
+    processes: int | None = None,
+    prove: bool = False,
+) -> dict[str, Any]:
+    """Solve a pickup-and-delivery instance by a team of robots; return what `solve --json` prints.
+
+    instance: file (JSON, or of Li and Lim) or instance
+    method: name of the distributed method
+    loss: share of the messages that is lost, below 1
+    graph: name of the communication graph, as "ring"
+    seed: seed of the graph and of the losses
+    processes: number of processes, in real time over Zenoh; None: in this process, in virtual time
+    prove: whether to prove the plan optimal, or a bound for large teams, whatever it costs
+    Raises InstanceError, SolverError or ConfigError.
+    """
+    problem = (
+        instance if isinstance(instance, Instance) else Instance.load(Path(instance))
+    )
+    chosen = choose_solve_options(problem, method, loss, graph, seed, prove)
+    KERNEL_QUEUE.compile()
+    if processes is None:
+        return solve_here(problem, chosen)
+    return solve_in_processes(problem, processes, chosen)
+
+
+def choose_solve_options(
+    problem: Instance, method: str, loss: float, graph: str, seed: int, prove: bool
+) -> SolveOptions:
+    """Return how to solve an instance.
+
+    Raises ConfigError for a loss or a graph that is not allowed.
+    """
+    if loss >= 1.0:
+        allowed = "less than 1: robots that hear nothing of each other agree on nothing"
+        raise ConfigError("loss", loss, allowed)
+    graph_from_name(graph, problem.robots, seed)
+    settings = RoutingSettings(proof=ProofSettings(prove=prove))
+    return SolveOptions(method, loss, graph, seed, settings)
+
+
+class Simulation(History):
+    """The history of a simulated algorithm, which a notebook shows and draws."""
+
+    def plot(self, name: str = "x") -> "Figure":
+        """Return a figure of matplotlib: the values of each agent, and their distances from the mean.
+
+        name: the recorded attribute
+        Raises ConfigError if it was not recorded, or is no array of numbers.
+        """
+        from crazychoir.api.pictures import make_figure
+        from crazychoir.optimization.picture import CONVERGENCE_SIZE, fill_convergence
+
+        names = list(next(iter(self.values.values())))
+        if name not in names:
+            raise ConfigError("plot", name, f"what was recorded: {', '.join(names)}")
+        figure = make_figure(*CONVERGENCE_SIZE)
+        series = {i: values[name] for i, values in self.values.items()}
+        common = self.common or name != "x"
+        fill_convergence(figure, series, name, common=common)
+        return figure
+
+
+def simulate(
+    algorithm: object,
+    graph: str | Graph = "ring",
+    agents: int = DEFAULT_AGENT_COUNT,
+    *,
+    loss: float = 0.0,
+    rounds: int | None = None,
+    seed: int = 0,
+    record: Sequence[str] | None = None,
+    network: Mapping[str, float] | None = None,
+) -> Simulation:
+    """Run a distributed algorithm over a simulated network, in virtual time.
+
+    algorithm: file (.py) that defines agent(i, graph), this function itself, an object that has it, or
+        {id: agent}
+    graph: communication graph, or its name, as "ring"
+    agents: number of agents, for a graph that is given by its name
+    loss: share of the messages that is lost
+    rounds: largest number of rounds; None: until all agents are done
+    seed: seed of the graph, the losses and the random times
+    record: attributes of the agents to keep; None for x, if they have one
+    network: more effects of the network, as {"delay": 0.01}
+    Raises ConfigError, or the error of an agent.
+    """
+    links = graph_from_name(graph, agents, seed) if isinstance(graph, str) else graph
+    team = make_team(algorithm, links)
+    KERNEL_QUEUE.compile()
+    history = simulation.simulate(
+        team,
+        links,
+        loss=loss,
+        network=network,
+        seed=seed,
+        rounds=rounds,
+        record=record,
+    )
+    return Simulation(**{f.name: getattr(history, f.name) for f in fields(history)})
+
+
+def make_team(algorithm: object, links: Graph) -> Mapping[int, Round]:
+    """Return the agents of an algorithm for a graph.
+
+    algorithm: see `simulate`
+    Raises ConfigError if there is no function agent(i, graph), or if it returns no agent.
+    """
+    if isinstance(algorithm, Mapping):
+        return algorithm
+    hook = _find_agent_hook(algorithm)
+    hook.check()
+    team = {i: hook(i, links) for i in links.ids}
+    for i, one in team.items():
+        if not isinstance(one, Round):
+            missing = ", ".join(
+                name for name in ("message", "step", "done") if not hasattr(one, name)
+            )
+            raise hook.wrong(f"{type(one).__name__} for agent {i}, without {missing}")
+    return team
+
+
+def _find_agent_hook(algorithm: object) -> Hook:
+    """Return the function that makes the agents of an algorithm."""
+    source = algorithm
+    if isinstance(algorithm, str | Path):
+        source = import_from_file(Path(algorithm), "algorithm")
+    make = source if inspect.isroutine(source) else getattr(source, "agent", None)
+    if make is None:
+        where = f"algorithm {algorithm}"
+        if isinstance(algorithm, str | Path):
+            allowed = "a file that defines agent(i, graph)"
+        else:
+            allowed = "a function agent(i, graph), or an object or a file that has one"
+        raise ConfigError(where, "no function agent(i, graph)", allowed)
+    file = str(getattr(source, "__file__", "") or _find_file(make))
+    arguments = ("i", "graph")
+    returns = "an agent: message(), step(heard), done"
+    return Hook(file, "agent", make, arguments, returns, "algorithm")
+
+
+def _find_file(make: Callable[..., Any]) -> str:
+    """Return the file or the cell that defines a function."""
+    code = getattr(inspect.unwrap(make), "__code__", None)
+    return "" if code is None else str(code.co_filename)
