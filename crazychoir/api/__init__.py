@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 from crazychoir.numerics.compiling import KERNEL_QUEUE
 
 if TYPE_CHECKING:
-    from crazychoir.api.computing import Simulation, simulate, solve
     from crazychoir.api.flights import Flight, fly, read
+    from crazychoir.api.simulating import Simulation, simulate
+    from crazychoir.api.solving import solve
     from crazychoir.api.sweeps import sweep
     from crazychoir.api.table import Table
 
@@ -31,9 +32,9 @@ _MODULE_OF = {
     "read": "flights",
     "Table": "table",
     "sweep": "sweeps",
-    "Simulation": "computing",
-    "simulate": "computing",
-    "solve": "computing",
+    "Simulation": "simulating",
+    "simulate": "simulating",
+    "solve": "solving",
 }
 """Public name: the module that defines it, below this package."""
 

@@ -143,6 +143,15 @@ def replace_options(config: SwarmConfig, options: Mapping[str, Any]) -> SwarmCon
     return config.replace(**changes)
 
 
+def refuse_operator(found: str) -> ConfigError:
+    """Return the error for virtual time with an operator.
+
+    found: what asks for the operator
+    """
+    allowed = "virtual time, in which no operator can send commands"
+    return ConfigError("fast", found, allowed, "Leave one of them out.")
+
+
 def find_mission(what: object) -> tuple[str, Mission]:
     """Return the name of a mission for the swarm file, and the mission with its hooks guarded.
 
@@ -191,6 +200,6 @@ def _make_mission(guidance: Callable[..., Any], source: Any) -> Mission:
     """
     try:
         file = inspect.getsourcefile(source) or ""
-    except TypeError:  # it was made without a file
+    except (TypeError, OSError):  # it was made without a file, as in a notebook
         file = ""
     return cast(Mission, MissionFile(SimpleNamespace(guidance=guidance, __file__=file)))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from crazychoir.api.flight_request import refuse_operator
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import Mission
 from crazychoir.launch.flight import (
@@ -52,7 +53,12 @@ class ChosenFlight:
 def require_flyable(
     config: SwarmConfig, started: tuple[int, ...], is_virtual: bool
 ) -> None:
-    """Raise ConfigError for an extra or a dongle that the flight needs and that is not free here."""
+    """Raise ConfigError for an extra or a dongle that the flight needs and that is not free here.
+
+    An operator cannot command a swarm in virtual time.
+    """
+    if is_virtual and config.flight.operator:
+        raise refuse_operator("[flight] operator = true")
     owners = [] if is_virtual else list_owners(config, started)
     require_extras(config, owners, is_virtual)
     if not is_virtual:

@@ -60,12 +60,11 @@ class SweepFile:
         others = 0
         length = 0
         for line in self._file.read().splitlines(keepends=True):
-            try:
-                row = json.loads(line)
-                key = row.pop(ROW_KEY)
-            except (ValueError, KeyError, AttributeError):
+            row = _parse_line(line)
+            if row is None:
                 break
             length += len(line.encode())
+            key = row.pop(ROW_KEY)
             if key in self._keys:
                 self.rows[key] = row
             else:
@@ -101,6 +100,17 @@ class SweepFile:
         lines = [_format_line(key, self.rows[key]) for key in self._keys]
         with output_file(self.path, "file") as place:
             place.write_text("".join(lines), encoding="utf-8")
+
+
+def _parse_line(line: str) -> Row | None:
+    """Return the row of a line with its key; None for a cut line, or one of another program."""
+    if not line.endswith("\n"):
+        return None
+    try:
+        row = json.loads(line)
+    except ValueError:
+        return None
+    return row if isinstance(row, dict) and ROW_KEY in row else None
 
 
 def _format_line(key: str, row: Mapping[str, Any]) -> str:

@@ -119,7 +119,7 @@ def simulate(
     """
     set_up_logging()
     with KERNEL_QUEUE.checks_first():
-        from crazychoir.api.computing import make_team
+        from crazychoir.api.simulating import make_team
         from crazychoir.optimization.history import require_suffix
         from crazychoir.solve import (
             simulate as simulation,

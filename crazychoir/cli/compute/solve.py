@@ -90,8 +90,8 @@ def solve(
     bound_relaxation: the kind of routes that priced a bound that is not exact.
     """
     set_up_logging()
-    from crazychoir.api.computing import choose_solve_options
-    from crazychoir.cli.shared.chosen_swarm import naming_options
+    from crazychoir.api.solving import choose_solve_options
+    from crazychoir.cli.shared.option_names import naming_options
     from crazychoir.routing.instance.instance import Instance
     from crazychoir.solve.solving import solve_here
     from crazychoir.solve.team import (

@@ -99,9 +99,9 @@ def run(
             from crazychoir.cli.shared.chosen_swarm import (
                 check_options,
                 drones_to_start,
-                naming_options,
                 with_operator,
             )
+            from crazychoir.cli.shared.option_names import naming_options
             from crazychoir.guidance.mission import check_before_flight
 
         outputs = CommandOutputs()

@@ -1,22 +1,21 @@
 """The swarm and the mission that a command line names."""
 
-import contextlib
-from collections.abc import Iterator
-from dataclasses import fields
 from typing import Any
 
 import msgspec
 
-from crazychoir.api.flight_request import FlightRequest, replace_swarm_values
+from crazychoir.api.flight_request import (
+    FlightRequest,
+    refuse_operator,
+    replace_swarm_values,
+)
+from crazychoir.cli.shared.option_names import naming_options
 from crazychoir.config.addresses import Addresses
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.config.swarm_config import SwarmConfig, find_swarm
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission import has_hook, load_mission
 from crazychoir.team.graph import describe_ids
-
-REQUEST_VALUES = (*(field.name for field in fields(FlightRequest)), "graph")
-"""Names of values of the Python interface that are options of the command line."""
 
 
 def configured_swarm(
@@ -49,19 +48,6 @@ def chosen_swarm(
         found = load_mission(str(mission or config.mission))
         config = found.swarm(None) if has_hook(found, "swarm") else config
     return config, which
-
-
-@contextlib.contextmanager
-def naming_options() -> Iterator[None]:
-    """Name the option, as --drones, in each error that names a value of the Python interface."""
-    try:
-        yield
-    except ConfigError as error:
-        if error.where not in REQUEST_VALUES:
-            raise
-        raise ConfigError(
-            f"--{error.where}", error.found, error.allowed, error.do, error.problem
-        ) from error
 
 
 def check_options(
@@ -107,17 +93,12 @@ def _check_only(only: str, what: str, own_file: bool, given: dict[str, Any]) -> 
 def with_operator(config: SwarmConfig, wait: bool, fast: bool) -> SwarmConfig:
     """Return the swarm with `operator = true` if `--wait` or the swarm file asks for it.
 
-    Raises ConfigError with --fast: no operator can command a swarm in virtual time.
+    Raises ConfigError for `--wait` with --fast: no operator can command a swarm in virtual time.
     """
+    if wait and fast:
+        with naming_options():
+            raise refuse_operator("--wait")
     waits = wait or config.flight.operator
-    if waits and fast:
-        found = "--wait" if wait else "[flight] operator = true"
-        raise ConfigError(
-            "--fast",
-            found,
-            "virtual time, in which no operator can send commands",
-            "Leave one of them out.",
-        )
     return (
         config.replace(flight={**msgspec.to_builtins(config.flight), "operator": True})
         if waits

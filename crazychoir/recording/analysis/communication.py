@@ -22,7 +22,7 @@ class MessageStatistics:
 
     counters: tuple[str, ...] = ("sent", "lost", "resent")
     """Fields of a status that count messages."""
-    rate_step: float = 0.5
+    rate_step: float = 1.0
     """Seconds between two values of the message rates."""
     kinds_with_content: tuple[str, ...] = tuple(
         kind.name.lower() for kind in MessageKind if kind <= MessageKind.DOUBLE

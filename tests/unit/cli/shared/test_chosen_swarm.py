@@ -3,7 +3,6 @@ import pytest
 from crazychoir.cli.shared.chosen_swarm import (
     check_options,
     drones_to_start,
-    naming_options,
 )
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ConfigError
@@ -80,13 +79,3 @@ def test_an_option_that_would_say_nothing_is_refused(what, swarm, given, said):
     check_options(
         "bearing_formation", None, None, NOTHING | {"--drones": 6, "--fast": True}
     )
-
-
-def test_an_error_of_a_value_names_its_option():
-    with (
-        pytest.raises(ConfigError, match=r"^--drones: found 7; allowed: 4"),
-        naming_options(),
-    ):
-        raise ConfigError("drones", 7, "4")
-    with pytest.raises(ConfigError, match=r"^swarm a: found 7"), naming_options():
-        raise ConfigError("swarm a", 7, "4")

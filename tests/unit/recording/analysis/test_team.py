@@ -233,7 +233,7 @@ def test_the_table_of_tasks(recorded, tmp_path):
 
 def test_rates_are_those_of_the_whole_team(recorded, tmp_path):
     talk = read_team_messages(recorded(statuses(2), statuses(4)), BEGAN)
-    assert talk.t[[0, -1]].tolist() == pytest.approx([0.5, 7.0])
+    assert talk.t[[0, -1]].tolist() == pytest.approx([1.0, 7.0])
     assert talk.rates[0] == pytest.approx([200.0, 40.0, 0.0])
     assert talk.rates[-1] == pytest.approx([100.0, 20.0, 0.0])
     talk.write(tmp_path / "messages.csv")
@@ -243,15 +243,15 @@ def test_rates_are_those_of_the_whole_team(recorded, tmp_path):
 
 def test_a_drone_counts_no_messages_before_it_is_heard_or_after_it_is_lost(recorded):
     talk = read_team_messages(recorded(statuses(2), statuses(4, SAID[4:6])), BEGAN)
-    assert talk.t[[0, -1]].tolist() == pytest.approx([0.5, 7.0])
+    assert talk.t[[0, -1]].tolist() == pytest.approx([1.0, 7.0])
     sent = dict(zip(talk.t.round(1).tolist(), talk.rates[:, 0].tolist(), strict=True))
-    assert (sent[0.5], sent[4.0], sent[4.5], sent[5.0], sent[5.5]) == pytest.approx(
-        (100, 50, 100, 100, 50)
+    assert (sent[1.0], sent[4.0], sent[5.0], sent[6.0]) == pytest.approx(
+        (100, 50, 100, 50)
     )
     talk = read_team_messages(
         recorded(statuses(2, SAID[5:]), statuses(4, SAID[:4])), BEGAN
     )
-    assert talk.t[[0, -1]].tolist() == pytest.approx([0.5, 7.0])
+    assert talk.t[[0, -1]].tolist() == pytest.approx([1.0, 7.0])
 
 
 def test_an_agent_that_is_started_anew_counts_from_nothing(recorded):
@@ -263,8 +263,8 @@ def test_an_agent_that_is_started_anew_counts_from_nothing(recorded):
         (3.0, "mission", "", 30),
     ]
     talk = read_team_messages(recorded(statuses(2, said)), BEGAN)
-    assert talk.rates[:, 0] == pytest.approx([30, 30, 20, 20, 10, 10])
-    assert talk.rates[:, 1] == pytest.approx([6, 6, 4, 4, 2, 2])
+    assert talk.rates[:, 0] == pytest.approx([30, 20, 10])
+    assert talk.rates[:, 1] == pytest.approx([6, 4, 2])
 
 
 def test_what_has_no_content_is_no_message_of_a_round(recorded):
