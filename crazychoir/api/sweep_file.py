@@ -31,7 +31,7 @@ class SweepFile:
     def __init__(self, path: Path, keys: Sequence[str]) -> None:
         self.path = path
         self.rows: dict[str, Row] = {}
-        self._keys = list(keys)
+        self._keys = list(dict.fromkeys(keys))
 
     def __enter__(self) -> Self:
         require_writable_file(self.path, "file", parents=True)
