@@ -1,4 +1,4 @@
-"""One drone, or several side by side, fly a hand-drawn path: by default the word "Casy".
+"""One drone, or several side by side, fly a hand-drawn path, by default the word "Casy", or a trajectory.
 
 crazychoir run drawn_path --fast --picture out/casy.png
 """
@@ -14,10 +14,12 @@ from crazychoir.planning.drawing.drawing import Drawing
 
 
 class Options(DrawingOptions, frozen=True, kw_only=True):
-    """[mission_options]: also scale, yaw, timing and lift."""
+    """[mission_options]: also scale, yaw, timing, lift, height and slower."""
 
     drawing: Text = str(Path(__file__).parent / "data" / "casy.csv")
-    """A CSV file of rows stroke, t, x, y, or an SVG picture with a unit of 1 mm."""
+    """A CSV file of rows stroke, t, x, y, or of rows duration, x^0 ... yaw^7 (a trajectory), or an SVG
+    picture with a unit of 1 mm.
+    """
 
 
 hooks = DrawingHooks(Options)

@@ -30,7 +30,10 @@ from crazychoir.planning.feasibility import (
     compute_peaks,
     sample_references,
 )
+from crazychoir.planning.number_table import read_table_text
 from crazychoir.planning.piecewise import Piecewise
+from crazychoir.planning.placed_trajectory import place_trajectory
+from crazychoir.planning.trajectory_file import has_pieces, parse_pieces
 from crazychoir.types import Mat
 
 Offset = tuple[float, float, float]
@@ -144,6 +147,40 @@ def plan_sketch(
     return PlannedSketch(path, made.deviation, most["speed"], most["acceleration"])
 
 
+def plan_trajectory(
+    path: Piecewise,
+    config: SwarmConfig,
+    where: str,
+    slower: float = 1.0,
+    height: float | None = None,
+) -> PlannedSketch:
+    """Return the flight along a trajectory of a file; its places are checked for each drone later.
+
+    where: name of the file, for errors
+    slower: factor on its duration, 1 / largest_slowdown to largest_slowdown
+    height: m, world: height of its start; None: as in the file
+    Raises ConfigError for a trajectory that cannot be flown.
+    """
+    most = SKETCH_LIMITS.largest_slowdown
+    if not 1.0 / most <= slower <= most:
+        raise ConfigError(
+            f"{where}: slower",
+            slower,
+            f"{1.0 / most:g} to {most:g} times as long as in the file",
+        )
+    flight = config.flight
+    limits = Limits(v_max=flight.speed_limit, a_max=flight.acceleration_limit)
+    placed = place_trajectory(path, limits, where, slower, height)
+    if placed.duration > SKETCH_LIMITS.longest_flight:
+        raise ConfigError(
+            where,
+            f"{placed.duration:.0f} s",
+            f"at most {SKETCH_LIMITS.longest_flight:.0f} s",
+        )
+    peaks = compute_peaks(placed)
+    return PlannedSketch(placed, 0.0, peaks["speed"], peaks["acceleration"])
+
+
 def _check_size(strokes: list[Mat], pen: Pen, limits: Limits, slower: float) -> None:
     """Raise ConfigError for a drawing that is too large.
 
@@ -211,35 +248,36 @@ def _place_beside(
     }
 
 
-def shift_flight(path: Piecewise, by: Sequence[float]) -> Piecewise:
-    """Return the same flight shifted by `by`, (3,) m."""
-    coefficients = path.coefficients.copy()
-    coefficients[:, 0:3, 0] += np.array(by)
-    return Piecewise(coefficients, path.durations)
-
-
 def flight_messages(
-    path: Piecewise, drones: Sequence[int], offset: Offset, config: SwarmConfig
+    path: Piecewise,
+    drones: Sequence[int],
+    offset: Offset,
+    config: SwarmConfig,
+    is_relative: bool = False,
 ) -> dict[int, dict[str, Any]]:
     """Return {drone id: arguments of the command `fly`}.
 
     The k-th drone flies the path shifted by k offset, k = 0, 1, ... A leader of a formation flies the
-    path from its present place, so the distance between leaders alone is not checked.
+    path from its present place, so the distance between leaders alone is not checked. With
+    `is_relative` each drone flies the path from its present place, and checks its places itself.
 
     path: the planned flight
     drones: ids
     offset: (3,) m, from drone to drone
     config: the swarm file
+    is_relative: whether the path begins where each drone is
     Raises ConfigError if a path leaves the fence, or if two drones would be so near that one of them
     always had to give way.
     """
+    if is_relative:
+        return {i: path_message(path) | {"relative": True} for i in drones}
     if not all(config.drone(i).leader for i in drones):
         _check_apart(drones, offset, config)
     told = {}
     ways = sample_references(path)[1][:, 0:3]
     for i, by in _place_beside((0.0, 0.0, 0.0), offset, drones).items():
         get_place_limits(config, i).check_places(ways + by, f"path of drone {i}")
-        told[i] = path_message(shift_flight(path, by))
+        told[i] = path_message(path.shifted(by))
     return told
 
 
@@ -276,6 +314,31 @@ def load_with_remarks(
     """
     drawn = parse_drawing(text, name)
     return _thin_strokes(drawn), drawn.words
+
+
+def plan_file(
+    path: Path,
+    config: SwarmConfig,
+    height: float | None,
+    v_max: float,
+    slower: float,
+) -> PlannedSketch:
+    """Return the flight along the strokes or the trajectory of a file.
+
+    height: m, world: height of the strokes, or of the start of the trajectory; None: the take-off
+        height, or as in the file
+    v_max: m/s, along strokes
+    slower: factor on the shortest duration along strokes, or on the duration of the trajectory
+    Raises ConfigError for a file that cannot be read or flown.
+    """
+    if path.suffix.lower() == ".csv" and has_pieces(text := read_table_text(path)):
+        return plan_trajectory(
+            parse_pieces(text, path), config, str(path), slower, height
+        )
+    if height is None:
+        height = config.flight.ground + config.flight.takeoff_height
+    pen = Pen(height=height, smoothing=SKETCH_LIMITS.hand_deviation)
+    return plan_sketch(load_file(path), pen, config, v_max=v_max, slower=slower)
 
 
 def load_file(path: Path) -> list[list[list[float]]]:

@@ -89,7 +89,8 @@ class Steering:
     async def fly(self, arguments: dict[str, Any]) -> str:
         """Go to the start of the path in the arguments, and fly the path.
 
-        A leader of a formation that flies its mission takes the path into the mission.
+        With `relative` in the arguments, the path begins where the drone is. A leader of a formation
+        that flies its mission takes the path into the mission.
         Raises Refused with the reason if the path is not flown.
         """
         self._require_cleared()
@@ -97,6 +98,8 @@ class Steering:
             path = Piecewise(arguments["coefficients"], arguments["durations"])
             if self.drone.pilot.airborne and not self.drone.pilot.permission.steerable:
                 return self.drone.guidance.led(path)
+            if arguments.get("relative", False):
+                path = self._shift_here(path)
             require_feasible(path, self.drone.pilot)
         except (ConfigError, KeyError, TypeError, ValueError) as error:
             self._refuse(f"fly: {error}")
@@ -117,6 +120,13 @@ class Steering:
                 f"its path was not flown to the end: {pilot.notes.text or pilot.mode.value}"
             )
         return "flown"
+
+    def _shift_here(self, path: Piecewise) -> Piecewise:
+        """Return the path from the place of the drone on; its heading stays as it is in the path."""
+        state = self.drone.pilot.state
+        if state is None:
+            self._refuse("it is not seen")
+        return path.shifted((state.p - path.sample(0.0).p).tolist())
 
     def _turn(self) -> int:
         self._count += 1

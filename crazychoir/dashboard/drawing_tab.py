@@ -12,7 +12,7 @@ class DrawingTabDefaults:
 
     help_text: str = (
         "Draw, in one stroke or several; straight flights join them. Thin is what was drawn, thick what will be flown. "
-        "Choose in the table which drones fly it."
+        "Choose in the table which drones fly it. A trajectory of Crazyswarm (CSV) starts at the height below."
     )
     """Text above the canvas."""
     height_above_hover: float = 0.7

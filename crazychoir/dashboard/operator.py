@@ -13,6 +13,7 @@ from crazychoir.agent.sketch import (
     flight_places,
     load_with_remarks,
     plan_sketch,
+    plan_trajectory,
     strokes_as_text,
 )
 from crazychoir.config.network import impairment_changes, rules_in_words
@@ -31,12 +32,14 @@ from crazychoir.dashboard.requests import (
     Load,
     Message,
     Order,
+    PlanTrajectory,
     Save,
     Stop,
     Strokes,
 )
 from crazychoir.errors import ConfigError
 from crazychoir.planning.drawing.drawing import Pen
+from crazychoir.planning.trajectory_file import has_pieces, parse_pieces
 from crazychoir.team.graph import describe_ids
 
 P = ParamSpec("P")
@@ -73,7 +76,7 @@ class PageOperator:
                 self.desk.stop(self._those(drones), clear, key)
             case GoTo():
                 self._go_to(message)
-            case Draw():
+            case Draw() | PlanTrajectory():
                 self._plan = None
                 self._drawn = self._drawn + 1
                 return partial(self._draw, message, self._drawn)
@@ -145,29 +148,17 @@ class PageOperator:
             each=lambda i: {"p": goals[i], "yaw": message.yaw},
         )
 
-    async def _draw(self, message: Draw, number: int) -> dict[str, Any] | None:
+    async def _draw(
+        self, message: Draw | PlanTrajectory, number: int
+    ) -> dict[str, Any] | None:
         """Plan in a thread, one drawing at a time; only the newest drawing counts.
 
         Returns None for a drawing that was replaced by a newer one.
         """
-        pen = Pen(
-            height=message.height,
-            lift=message.lift,
-            yaw=message.yaw,
-            timing=message.timing,
-            smoothing=message.smoothing,
-        )
-        limits = {
-            "v_max": message.v_max,
-            "a_max": message.a_max,
-            "slower": message.slower,
-        }
         async with self._planning:
             if number != self._drawn:
                 return None
-            plan = await _run_in_thread(
-                plan_sketch, message.strokes, pen, self.config, **limits
-            )
+            plan = await _run_in_thread(_plan, message, self.config)
         if number != self._drawn:
             return None
         self._plan = plan
@@ -208,8 +199,34 @@ class PageOperator:
         return tuple(dict.fromkeys(drones))
 
 
+def _plan(message: Draw | PlanTrajectory, config: SwarmConfig) -> PlannedSketch:
+    """Return the flight that the message describes. Raises ConfigError if it cannot be flown."""
+    if isinstance(message, PlanTrajectory):
+        path = parse_pieces(message.text, message.name)
+        return plan_trajectory(
+            path, config, message.name, message.slower, message.height
+        )
+    pen = Pen(
+        height=message.height,
+        lift=message.lift,
+        yaw=message.yaw,
+        timing=message.timing,
+        smoothing=message.smoothing,
+    )
+    return plan_sketch(
+        message.strokes, pen, config, message.v_max, message.a_max, message.slower
+    )
+
+
 def answer_load(text: str, name: str) -> dict[str, Any]:
-    """Return the answer to Load: the strokes, and remarks on parts that cannot be flown."""
+    """Return the answer to Load: the strokes, and remarks on parts that cannot be flown.
+
+    For a trajectory it is the file itself, which the page sends again to plan it.
+    """
+    if name.lower().endswith(".csv") and has_pieces(text):
+        path = parse_pieces(text, name)
+        start = round(float(path.sample(0.0).p[2]), 3)
+        return {"trajectory": {"name": name, "text": text, "height": start}}
     strokes, words = load_with_remarks(text, name)
     return {"remarks": words, "strokes": strokes}
 

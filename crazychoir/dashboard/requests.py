@@ -95,8 +95,21 @@ class Draw(Ask, frozen=True):
     """Factor by which the flight takes longer than these limits demand."""
 
 
+class PlanTrajectory(Ask, frozen=True, tag="trajectory"):
+    """Plan a flight along the trajectory of a file, and show it; Fly flies it."""
+
+    name: Annotated[str, Meta(max_length=200)]
+    """Name of the file."""
+    text: Annotated[str, Meta(max_length=MOST_TEXT)]
+    """Its content: pieces, see planning.trajectory_file."""
+    height: Metres = 1.0
+    """m, of its start."""
+    slower: Annotated[float, Meta(ge=1.0, le=20.0)] = 1.0
+    """Factor on the duration of the file."""
+
+
 class Fly(Ask, frozen=True):
-    """Fly the last planned drawing; the k-th drone flies it k times `offset` away."""
+    """Fly the last planned drawing or trajectory; the k-th drone flies it k times `offset` away."""
 
     drones: Ids
     """Ids of the drones."""
@@ -105,7 +118,7 @@ class Fly(Ask, frozen=True):
 
 
 class Load(Ask, frozen=True):
-    """Read the strokes from a file's text and return them to the page."""
+    """Read a file's text, and return its strokes to the page, or that it is a trajectory."""
 
     name: Annotated[str, Meta(max_length=200)]
     """Name of the file."""
@@ -155,7 +168,19 @@ class CancelTask(Ask, frozen=True, tag="cancel-task"):
     """Id of the task."""
 
 
-Message = Order | Stop | GoTo | Draw | Fly | Load | Save | Impair | AddTask | CancelTask
+Message = (
+    Order
+    | Stop
+    | GoTo
+    | Draw
+    | PlanTrajectory
+    | Fly
+    | Load
+    | Save
+    | Impair
+    | AddTask
+    | CancelTask
+)
 """Any message of a page."""
 _MESSAGE_DECODER = msgspec.json.Decoder(Message)
 

@@ -79,12 +79,15 @@ def read_table(
     optional: groups of columns; of each group all or none are there
     Raises TableError for a file that cannot be read so.
     """
+    return parse_table(read_table_text(path), path, required, optional)
+
+
+def read_table_text(path: str | Path) -> str:
+    """Return the text of a CSV file; raise TableError for a file that cannot be read."""
     try:
-        raw = Path(path).read_bytes()
-        text = _decode_text(raw)
+        return _decode_text(Path(path).read_bytes())
     except (OSError, ValueError) as error:
         raise TableError(f"{path}", f"{error}", READABLE_CSV_TEXT) from error
-    return parse_table(text, path, required, optional)
 
 
 def parse_table(

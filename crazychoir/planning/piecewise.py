@@ -225,6 +225,12 @@ class Piecewise:
             self.durations * factor,
         )
 
+    def shifted(self, by: Sequence[float]) -> "Piecewise":
+        """Return the same flight shifted by `by`, (3,) m."""
+        coefficients = self.coefficients.copy()
+        coefficients[:, 0:3, 0] += np.array(by)
+        return Piecewise(coefficients, self.durations)
+
 
 def join_pieces(parts: Sequence[Piecewise]) -> Piecewise:
     """Return the parts one after the other.

@@ -1,5 +1,6 @@
 """Trajectories in CSV files: samples, or the pieces of crazyswarm and uav_trajectories."""
 
+import re
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +12,9 @@ from crazychoir.files.recorded_times import require_later, require_seconds
 from crazychoir.planning.number_table import (
     TableError,
     check_increasing,
+    parse_table,
     read_table,
+    read_table_text,
     write_table,
 )
 from crazychoir.planning.piecewise import POLYNOMIAL_DEGREE, Piecewise
@@ -49,6 +52,8 @@ PIECE_COLUMNS = (
         for n in range(POLYNOMIAL_DEGREE + 1)
     ),
 )
+PIECES_START = re.compile(r"[\s\ufeff#,;\"']*duration\b", re.IGNORECASE)
+"""Start of a file of pieces."""
 SPARSE_TABLE_ROWS = 20
 """Rows of a table: one with fewer is written by hand, and its samples may be far from each other."""
 LARGEST_JUMP = (
@@ -175,13 +180,23 @@ def write_pieces(path: str | Path, flight: Piecewise) -> None:
     )
 
 
+def has_pieces(text: str) -> bool:
+    """Return whether the text of a file has pieces: its first column is named duration."""
+    return PIECES_START.match(text) is not None
+
+
 def read_pieces(path: str | Path) -> Piecewise:
     """Return the pieces of a CSV file with the columns of `write_pieces`.
 
     Raises TableError with file, line and column; also if a piece starts more than 0.01 m or 0.1 m/s
     (rad, rad/s) from the end of the piece before.
     """
-    table = read_table(path, PIECE_COLUMNS)
+    return parse_pieces(read_table_text(path), path)
+
+
+def parse_pieces(text: str, path: str | Path) -> Piecewise:
+    """Apply `read_pieces` to the text of a file; `path` is its name in errors."""
+    table = parse_table(text, path, PIECE_COLUMNS)
     short = table["duration"] <= 0.0
     if short.any():
         k = int(np.argmax(short))

@@ -62,44 +62,51 @@ def go_to(
 
 def fly(
     file: Annotated[
-        Path, typer.Argument(help="Strokes: CSV (stroke, t, x, y) or SVG.")
+        Path,
+        typer.Argument(
+            help="Strokes: CSV (stroke, t, x, y) or SVG; or pieces: CSV (duration, x^0 ...)."
+        ),
     ],
     drones: DronesOption,
     offset: OffsetOption = "0,0.5,0",
     height: Annotated[
         float | None,
         options.real(
-            "Height in m; else the take-off height.",
+            "Height in m of strokes, or of the start of a trajectory; else the take-off height, or as in the file.",
             least=0.0,
             most=100.0,
             open_below=True,
         ),
     ] = None,
     speed: Annotated[
-        float, options.real("m/s at most.", least=0.0, most=20.0, open_below=True)
+        float,
+        options.real(
+            "m/s at most, along strokes.", least=0.0, most=20.0, open_below=True
+        ),
     ] = 0.5,
     slower: Annotated[
         float,
         options.real(
-            "Factor on the shortest duration that the limits allow.",
-            least=1.0,
+            "Factor on the shortest duration that the limits allow, or on the duration of a trajectory.",
+            least=0.05,
             most=1000.0,
         ),
     ] = 1.0,
+    relative: Annotated[
+        bool,
+        typer.Option(
+            "--relative", help="A trajectory begins where each drone is; no --offset."
+        ),
+    ] = False,
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Fly waiting or held drones along a drawing, side by side.
+    """Fly waiting or held drones along a drawing or a trajectory, side by side.
 
-    Leaders may also fly it with their formation.
+    A trajectory is a CSV file of polynomials of degree 7, as Crazyswarm has
+    them. Leaders may also fly it with their formation.
     """
-    from crazychoir.agent.sketch import (
-        SKETCH_LIMITS,
-        flight_messages,
-        load_file,
-        plan_sketch,
-    )
-    from crazychoir.planning.drawing.drawing import Pen
+    from crazychoir.agent.sketch import flight_messages, plan_file
 
     step = _metres("--offset", offset)
     chosen = tuple(parse_drones(drones) or ())
@@ -110,14 +117,8 @@ def fly(
         nonlocal spent
         window.check("--drones", chosen)
         config = window.config
-        level = (
-            config.flight.ground + config.flight.takeoff_height
-            if height is None
-            else height
-        )
-        pen = Pen(height=level, smoothing=SKETCH_LIMITS.hand_deviation)
-        plan = plan_sketch(load_file(file), pen, config, v_max=speed, slower=slower)
-        told.update(flight_messages(plan.path, chosen, step, config))
+        plan = plan_file(file, config, height, speed, slower)
+        told.update(flight_messages(plan.path, chosen, step, config, relative))
         spent += plan.path.duration
         ERROR_CONSOLE.print(
             f"{plan.path.duration:.1f} s, at most {plan.speed:.2f} m/s, {plan.acceleration:.2f} m/s2"

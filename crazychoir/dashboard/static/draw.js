@@ -8,12 +8,14 @@ const find = (id) => document.getElementById(id);
 const SETTING_FIELDS = ["height", "lift", "smoothing", "v_max", "a_max", "slower"]; // ids of fields
 const OFFSET_FIELDS = ["offset_x", "offset_y", "offset_z"]; // ids of fields
 const POINT_DISTANCE = 0.002; // m, closer points of a stroke are dropped
+const LEAST_HEIGHT = 0.1; // m above the ground, of a trajectory that is flown as high as in its file
 const PLAN_DELAY = 150; // ms after the last change before a plan is requested
 const CLEARANCE_RADIUS = 0.4; // m, horizontal
 const CLEARANCE_HEIGHT = 0.7; // m, vertical
 let strokes = []; // each a list of [s, m, m]
 let remarks = []; // about the file that was loaded
 let current = null; // the stroke that is being drawn
+let trajectory = null; // the file of a trajectory that was loaded instead of strokes: name and text
 let plan = null; // the newest answer of the server
 let began = 0; // ms, time stamp of the first point
 let waiting = 0; // timer of the next planning request
@@ -80,6 +82,7 @@ function extend(stroke, point) {
 function pointers() {
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
+    trajectory = null;
     if (!strokes.length) began = event.timeStamp;
     current = [point(event)];
     event.preventDefault();
@@ -104,6 +107,8 @@ function said(text) {
   find("plan").textContent = text;
 }
 
+const isThere = () => trajectory || strokes.length;
+
 // Drop the plan after a change, and request a new one after a short delay.
 function changed() {
   plan = null;
@@ -111,13 +116,14 @@ function changed() {
   curves(find("profile"), [], "");
   paint();
   clearTimeout(waiting);
-  if (!strokes.length) return said("Nothing is drawn.");
+  if (!isThere()) return said("Nothing is drawn.");
   said("Planning ...");
   waiting = setTimeout(() => {
     const yaw = find("yaw").value;
     const values = numbers(...SETTING_FIELDS);
     if (!values) return;
     const settings = Object.fromEntries(SETTING_FIELDS.map((name, k) => [name, values[k]]));
+    if (trajectory) return ask({ ask: "trajectory", ...trajectory, height: settings.height, slower: settings.slower });
     ask({ ask: "draw", strokes, ...settings, yaw: yaw === "along" ? yaw : Number(yaw), timing: find("timing").value });
   }, PLAN_DELAY);
 }
@@ -153,7 +159,8 @@ function show() {
   const warning = others.length ? `. In the way, where they are now: drone ${others.join(", ")}` : "";
   const more = remarks.map((remark) => `. The file: ${remark}`).join("");
   const limits = `${duration} s, at most ${speed} m/s and ${acceleration} m/s²`;
-  said(`${limits}, at most ${Math.round(1000 * deviation)} mm away from the drawing${warning}${more}`);
+  const away = trajectory ? trajectory.name : `at most ${Math.round(1000 * deviation)} mm away from the drawing`;
+  said(`${limits}, ${away}${warning}${more}`);
   paint();
 }
 
@@ -173,6 +180,7 @@ export const sketch = {
   clear: () => {
     strokes = [];
     remarks = [];
+    trajectory = null;
     changed();
   },
   save: (kind) => (strokes.length ? ask({ ask: "save", strokes, kind }) : said("Nothing is drawn.")),
@@ -198,7 +206,7 @@ export function start() {
     target.value = "";
   });
   on("about", fit);
-  on("connected", (there) => there && strokes.length && changed()); // the server has no plan for a new connection
+  on("connected", (there) => there && isThere() && changed()); // the server has no plan for a new connection
   on("plan", planned);
   on("selected", show);
   on("remarks", (words) => {
@@ -206,10 +214,18 @@ export function start() {
   });
   on("strokes", (loaded) => {
     strokes = loaded;
+    trajectory = null;
+    changed();
+  });
+  on("trajectory", ({ name, text, height }) => {
+    strokes = [];
+    remarks = [];
+    trajectory = { name, text };
+    if (height > seen.about.ground + LEAST_HEIGHT) find("height").value = height;
     changed();
   });
   on("saved", download);
-  on("refused", (why) => strokes.length && !plan && said(why));
+  on("refused", (why) => isThere() && !plan && said(why));
   on("drones", () => canvas.clientWidth && paint());
   on("theme", paint);
 }

@@ -1,5 +1,6 @@
 """What a mission that flies a drawing needs: options, its own swarm, checks, report, picture."""
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -8,7 +9,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import cKDTree
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.config.tables import Scale, SwarmTable, Text
+from crazychoir.config.tables import Height, Scale, SwarmTable, Text
 from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Offset, Yaw, given, require_none
@@ -16,7 +17,11 @@ from crazychoir.guidance.mission_report import Results
 from crazychoir.guidance.path_checks import require_inside
 from crazychoir.planning.drawing.drawing import Drawing, Pen, plan_drawing
 from crazychoir.planning.drawing.drawing_file import read_drawing
-from crazychoir.planning.feasibility import Limits
+from crazychoir.planning.feasibility import Limits, compute_peaks
+from crazychoir.planning.number_table import read_table_text
+from crazychoir.planning.piecewise import Piecewise
+from crazychoir.planning.placed_trajectory import place_trajectory
+from crazychoir.planning.trajectory_file import has_pieces, read_pieces
 from crazychoir.types import Mat
 
 DRAWING_TOLERANCE = 0.06
@@ -26,6 +31,17 @@ Measured for the word of deploy/casy.toml: 42 mm for a typical drone, 13 mm for 
 """
 SAMPLE_INTERVAL = 0.02
 """s: time between two places at which the flown path and the drawing are compared."""
+LONGEST_SLOWDOWN = 20.0
+"""Largest factor on the duration."""
+Slowdown = Annotated[
+    float,
+    Meta(
+        ge=1,
+        le=LONGEST_SLOWDOWN,
+        description="a factor, 1 to 20",
+        examples=[2.0],
+    ),
+]
 Timing = Annotated[
     Literal["even", "drawn"], Meta(description='"even" or "drawn"', examples=["drawn"])
 ]
@@ -35,7 +51,9 @@ class DrawingOptions(SwarmTable, frozen=True, kw_only=True):
     """[mission_options]."""
 
     drawing: Text
-    """A CSV file of rows stroke, t, x, y, or an SVG picture with a unit of 1 mm."""
+    """A CSV file of rows stroke, t, x, y, or of rows duration, x^0 ... yaw^7 (a trajectory), or an SVG
+    picture with a unit of 1 mm.
+    """
     scale: Scale = 1.0
     """Scale of the drawing."""
     yaw: Yaw = 0.0
@@ -44,6 +62,12 @@ class DrawingOptions(SwarmTable, frozen=True, kw_only=True):
     """"drawn": as fast as the hand was, where the limits allow (CSV only)."""
     lift: Offset = 0.1
     """m: height of the flight between strokes, above the drawing."""
+    height: Height | None = None
+    """m above the floor: height of the drawing, or of the start of a trajectory; without it the
+    take-off height.
+    """
+    slower: Slowdown = 1.0
+    """Factor on the duration of a trajectory, or on the shortest duration of a drawing."""
 
 
 class DrawingHooks:
@@ -58,12 +82,27 @@ class DrawingHooks:
     def drawing(self, config: SwarmConfig, i: int) -> Drawing:
         """Return the drawing that drone i flies, with its centre over the drone's home.
 
-        Its jerk is limited to what the attitude of the drone can follow.
+        A trajectory starts over the home. The jerk of a drawing is limited to what the attitude of the
+        drone can follow.
         Raises ConfigError if it cannot be flown.
         """
         options = given(config, self.options)
         flight = config.flight
         home = config.drone(i).home
+        height = options.height or flight.takeoff_height
+        limits = Limits(
+            v_max=flight.speed_limit,
+            a_max=flight.acceleration_limit,
+            j_max=STANDARD_GAINS.kr[0] * flight.acceleration_limit,
+            low=config.fence.min,
+            high=config.fence.max,
+        )
+        if is_trajectory(options.drawing):
+            planned = _place_over(
+                (home[0], home[1], flight.ground + height), options, limits
+            )
+            require_inside(planned.path, config, i, "trajectory")
+            return planned
         strokes = read_drawing(options.drawing).strokes
         places = np.vstack([stroke[:, -2:] for stroke in strokes])
         middle = 0.5 * (places.min(axis=0) + places.max(axis=0))
@@ -74,19 +113,12 @@ class DrawingHooks:
             for stroke in strokes
         ]
         pen = Pen(
-            height=flight.ground + flight.takeoff_height,
+            height=flight.ground + height,
             lift=options.lift,
             yaw=options.yaw,
             timing=options.timing,
         )
-        limits = Limits(
-            v_max=flight.speed_limit,
-            a_max=flight.acceleration_limit,
-            j_max=STANDARD_GAINS.kr[0] * flight.acceleration_limit,
-            low=config.fence.min,
-            high=config.fence.max,
-        )
-        planned = plan_drawing(placed, pen, limits)
+        planned = _slow_down(plan_drawing(placed, pen, limits), options.slower)
         require_inside(planned.path, config, i, "drawing")
         return planned
 
@@ -115,10 +147,7 @@ class DrawingHooks:
         return [
             f"the drawing takes {flown.path.duration:.1f} s, at most {flown.speed:.2f} m/s and "
             f"{flown.acceleration:.2f} m/s2, {1e3 * flown.deviation:.1f} mm from what was drawn",
-            *(
-                f"{options.drawing}: {word}"
-                for word in read_drawing(options.drawing).words
-            ),
+            *(f"{options.drawing}: {word}" for word in _list_remarks(options.drawing)),
         ]
 
     def _checked(self, config: SwarmConfig, i: int) -> Drawing:
@@ -191,3 +220,44 @@ class DrawingHooks:
         axes.legend(fontsize=7)
         shown.savefig(path, dpi=150, bbox_inches="tight")
         plt.close(shown)
+
+
+def is_trajectory(file: str) -> bool:
+    """Return whether a file holds the pieces of a trajectory.
+
+    Raises TableError for a CSV file that cannot be read.
+    """
+    return Path(file).suffix.lower() == ".csv" and has_pieces(read_table_text(file))
+
+
+def _list_remarks(file: str) -> list[str]:
+    """Return the remarks on parts of a file that are not flown."""
+    return [] if is_trajectory(file) else read_drawing(file).words
+
+
+def _place_over(
+    start: tuple[float, float, float], options: DrawingOptions, limits: Limits
+) -> Drawing:
+    """Return the trajectory of the file, scaled, with its start at a place.
+
+    start: (3,) m, world
+    Raises ConfigError if it cannot be flown.
+    """
+    whole = read_pieces(options.drawing)
+    coefficients = whole.coefficients.copy()
+    coefficients[:, 0:3] *= options.scale
+    scaled = Piecewise(coefficients, whole.durations)
+    path = place_trajectory(scaled, limits, options.drawing, options.slower)
+    path = path.shifted((np.array(start) - path.sample(0.0).p).tolist())
+    peaks = compute_peaks(path)
+    return Drawing(path, 0.0, peaks["speed"], peaks["acceleration"])
+
+
+def _slow_down(planned: Drawing, factor: float) -> Drawing:
+    """Return the drawing in `factor` times the time."""
+    return Drawing(
+        planned.path.slowed(factor),
+        planned.deviation,
+        planned.speed / factor,
+        planned.acceleration / factor**2,
+    )

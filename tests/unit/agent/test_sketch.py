@@ -8,8 +8,8 @@ from crazychoir.agent.sketch import (
     SKETCH_LIMITS,
     flight_messages,
     load_with_remarks,
+    plan_file,
     plan_sketch,
-    shift_flight,
     strokes_as_text,
 )
 from crazychoir.config.swarm_config import SwarmConfig
@@ -18,7 +18,9 @@ from crazychoir.dashboard.requests import Draw, decode_page_message
 from crazychoir.errors import ConfigError
 from crazychoir.planning.drawing.drawing import Pen
 from crazychoir.planning.feasibility import Limits, is_within_limits
+from crazychoir.planning.minimum_snap import minimum_snap
 from crazychoir.planning.piecewise import Piecewise
+from crazychoir.planning.trajectory_file import write_pieces
 
 WAVE = tuple((0.02 * k, 0.02 * k, 0.3 * float(np.sin(0.1 * k))) for k in range(100))
 DOWN = tuple((2.0 + 0.02 * k, 1.0, 1.0 - 0.02 * k) for k in range(50))
@@ -245,8 +247,52 @@ def test_files_that_are_none_are_refused_by_name(name, text, words):
 
 def test_a_path_is_moved_as_a_whole():
     path = plan_sketch((WAVE, DOWN), Pen(), config_of()).path
-    away = shift_flight(path, (1.0, -2.0, 0.5)).samples(
+    away = path.shifted((1.0, -2.0, 0.5)).samples(
         np.linspace(0, path.duration, 50)
     ) - path.samples(np.linspace(0, path.duration, 50))
     assert np.allclose(away[:, 0:3], [1.0, -2.0, 0.5])
     assert np.allclose(away[:, 3:], 0.0)
+
+
+def write_eight(file):
+    eight = minimum_snap(
+        [[0, 0, 0], [0.8, 0.4, 0], [0, 0, 0], [-0.8, -0.4, 0], [0, 0, 0]],
+        [0.0, 2.0, 4.0, 6.0, 8.0],
+    )
+    write_pieces(file, eight)
+    return eight
+
+
+def test_a_file_of_pieces_is_flown_as_a_trajectory_raised_and_slowed(tmp_path):
+    file = tmp_path / "eight.csv"
+    eight = write_eight(file)
+    plan = plan_file(file, config_of(), height=1.1, v_max=0.5, slower=2.0)
+    assert plan.path.duration == pytest.approx(2.0 * eight.duration)
+    assert plan.path.sample(0.0).p == pytest.approx([0.0, 0.0, 1.1])
+    told = flight_messages(plan.path, (2, 3), (0.0, 0.5, 0.0), config_of())
+    assert len(told[2]["durations"]) == 4
+    low = plan_file(file, config_of(), height=None, v_max=0.5, slower=2.0)
+    with pytest.raises(ConfigError, match="fence"):
+        flight_messages(low.path, (2, 3), (0.0, 0.5, 0.0), config_of())
+    relative = flight_messages(
+        low.path, (2, 3), (0.0, 0.0, 0.0), config_of(), is_relative=True
+    )
+    assert relative[3]["relative"] is True
+
+
+@pytest.mark.parametrize("slower", [0.0, 0.04, 20.1, float("nan")])
+def test_a_trajectory_has_a_factor_of_at_most_twenty(tmp_path, slower):
+    file = tmp_path / "eight.csv"
+    write_eight(file)
+    with pytest.raises(ConfigError, match=r"eight.csv: slower: .*0.05 to 20 times"):
+        plan_file(file, config_of(), height=1.0, v_max=0.5, slower=slower)
+
+
+def test_a_wrong_number_in_a_file_of_pieces_is_named_with_its_line(tmp_path):
+    file = tmp_path / "eight.csv"
+    write_eight(file)
+    rows = file.read_text().splitlines()
+    rows[2] = rows[2].replace(",", ",x", 1)
+    file.write_text("\n".join(rows))
+    with pytest.raises(ConfigError, match=r"eight.csv, line 3, column 2 \(x\^0\)"):
+        plan_file(file, config_of(), height=1.0, v_max=0.5, slower=1.0)
