@@ -37,6 +37,7 @@ from crazychoir.runtime.user_code_guard import GuardFactory, share_watch
 from crazychoir.runtime.watchdog import Stall
 from crazychoir.safety.rules.modes import MOTORS_OFF_MODES
 from crazychoir.simulation.remote import OwnerWatch
+from crazychoir.simulation.telemetry import round_log_period
 from crazychoir.simulation.trace import Trace
 
 log = logging.getLogger(__name__)
@@ -185,6 +186,14 @@ class Agent:
         self.commands[i] = commands
         CommandServer(drone.port, commands.execute, commands.stop)
 
+    def _list_logs(self, drone: Drone) -> list[tuple[tuple[str, ...], float]]:
+        """Return the variables and periods in s of the [[logs]] of a drone."""
+        return [
+            (row.variables, round_log_period(row.rate))
+            for row in self.config.logs
+            if row.drones is None or drone.id in row.drones
+        ]
+
     def _hear_console(self) -> None:
         """Note that an operator's console is there."""
         if self.dead_man is not None:
@@ -250,6 +259,8 @@ class Agent:
 
         When it ends the drone flies on until it is down.
         """
+        for variables, period in self._list_logs(drone):
+            drone.sensors.log(variables, period)
         supervisor = self._supervisor(drone.id)
         runner = MissionRunner(drone, self.config, self.watchdog, self.laws)
         self.runners[drone.id] = runner

@@ -9,7 +9,7 @@ from crazychoir.agent.drone import Drone
 from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.port import Bus, Port
 from crazychoir.bus.topics import DRONE_TOPICS
-from crazychoir.config.calibrated import find_known_platform
+from crazychoir.config.calibrated import find_firmware, find_known_platform
 from crazychoir.config.checks import WORLD_URIS, limit_area
 from crazychoir.config.drone_room import fence_of
 from crazychoir.config.link_loss import TILT_TIMES, describe_crowding, fence_inset
@@ -29,7 +29,6 @@ from crazychoir.flight.tick import FlightTick
 from crazychoir.guidance.member import Member
 from crazychoir.guidance.mission import Mission
 from crazychoir.guidance.sensors import Sensors
-from crazychoir.platforms import find_platform
 from crazychoir.runtime.mailbox import Call
 from crazychoir.runtime.supervisor import Supervisor
 from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
@@ -215,7 +214,7 @@ def _build_body(
     if i not in config.topology.reached:
         return DistantBody(remote)
     source = config.topology.source(DRONE_TOPICS.link, i)
-    firmware = find_platform(config.drone(i).platform).firmware
+    firmware = find_firmware(config.drone(i))
     return RadioBody(remote, RadioWatch(port, source, guard, firmware))
 
 

@@ -17,6 +17,11 @@ from crazychoir.recording.analysis.figures import (
     RecordedFlight,
     recorded_flight,
 )
+from crazychoir.recording.analysis.log_plots import (
+    LoggedVariables,
+    log_pictures,
+    read_logged_variables,
+)
 from crazychoir.recording.analysis.plots import Pictures, Reasons, flight_pictures
 from crazychoir.recording.analysis.team_plots import team_pictures
 from crazychoir.recording.mcap.reading import EXPECTED_RECORDING, Recording, read
@@ -41,6 +46,8 @@ class RecordedData:
     """Phases of flight, and completed stops."""
     talk: TeamMessages
     """Messages between the drones."""
+    logged: LoggedVariables
+    """Log variables of the drones; empty if they told none."""
 
     def figures(self) -> dict[str, Any]:
         """Return the figures of the recorded positions."""
@@ -83,7 +90,7 @@ class RecordedData:
         """
         pictures, missing = flight_pictures(self.flight)
         more, without = team_pictures(self.flight, self.work, self.talk)
-        pictures = pictures | more
+        pictures = pictures | more | log_pictures(self.logged)
         missing = missing | without
         if not pictures:
             raise ConfigError(
@@ -99,6 +106,8 @@ class RecordedData:
         tables: dict[str, Callable[[Path], None]] = {
             f"drone{track.drone}": track.write for track in self.flight.tracks
         }
+        if self.logged.rows:
+            tables["logs"] = self.logged.write
         return tables | {
             "tasks": self.work.write,
             "messages": self.talk.write,
@@ -150,4 +159,5 @@ def read_data(path: Path) -> RecordedData:
     began, _ = recording.seconds
     work = read_activity(path, began)
     talk = read_team_messages(path, began)
-    return RecordedData(recording, flight, work, talk)
+    logged = read_logged_variables(path, began)
+    return RecordedData(recording, flight, work, talk, logged)

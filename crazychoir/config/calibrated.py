@@ -6,7 +6,7 @@ import numpy as np
 
 from crazychoir.config.tables import CalibrationTable, DroneTable
 from crazychoir.errors import ConfigError
-from crazychoir.platforms import Battery, BodyEffects, Platform, find_platform
+from crazychoir.platforms import Battery, BodyEffects, Firmware, Platform, find_platform
 
 CONTROL_RESERVE = 1.3
 """Thrust over that of hover that a battery must allow at take-off."""
@@ -68,6 +68,9 @@ def find_known_platform(drone: DroneTable) -> Platform:
         drag=(x / k, y / k, z / k),
         battery=replace(battery, hover_power=battery.hover_power * k**-1.5),
     )
+    if drone.battery_warning is not None:
+        battery = replace(battery, begin=drone.battery_warning)
+        known = replace(known, battery=replace(known.battery, begin=battery.begin))
     if drone.calibration == CalibrationTable():
         return known
     begin = max(battery.begin, compute_least_voltage(known))
@@ -79,6 +82,14 @@ def find_known_platform(drone: DroneTable) -> Platform:
             "Calibrate again, or give the drone another battery.",
         )
     return replace(known, battery=replace(known.battery, begin=begin))
+
+
+def find_firmware(drone: DroneTable) -> Firmware:
+    """Return the firmware of the drone's platform, with the voltage at which this drone lands."""
+    firmware = find_platform(drone.platform).firmware
+    if drone.battery_critical is None:
+        return firmware
+    return replace(firmware, low=drone.battery_critical)
 
 
 def compute_least_voltage(platform: Platform) -> float:

@@ -67,6 +67,9 @@ UNSUPPORTED_LINKS = {
 }
 """Links of cflib that are not supported here, and what to do instead."""
 WORLD_STEP = 0.01  # s: step of the simulated worlds
+LOG_PERIOD_TOLERANCE = (
+    0.01  # share by which the period of [[logs]] may differ from whole steps
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,6 +271,50 @@ def _check_ids(swarm: Swarm, where: str) -> None:
                 problem,
             )
         first[drone.id] = n
+
+
+def _check_names(swarm: Swarm, where: str) -> None:
+    """Check that each name of a drone is there once."""
+    first: dict[str, int] = {}
+    for n, drone in enumerate(swarm.drones):
+        if drone.name and drone.name in first:
+            raise ConfigError(
+                f"{where}: drones[{n}].name",
+                show_value(drone.name),
+                "each name is there once",
+                "Rename the drone.",
+                f"drones[{first[drone.name]}] has this name",
+            )
+        first[drone.name] = n
+
+
+def _check_logs(swarm: Swarm, where: str) -> None:
+    """Check that [[logs]] name drones of the swarm, and have a period that log blocks can have."""
+    for n, row in enumerate(swarm.logs):
+        if row.drones is not None:
+            _check_known(_members(swarm), row.drones, f"{where}: logs[{n}].drones")
+        ticks = 1.0 / (row.rate * WORLD_STEP)
+        if abs(ticks - round(ticks)) > LOG_PERIOD_TOLERANCE * ticks:
+            raise ConfigError(
+                f"{where}: logs[{n}].rate",
+                row.rate,
+                "a rate with a period of whole 10 ms, as the firmware's log blocks have",
+                f"For example {1.0 / (round(ticks) * WORLD_STEP):.4g}.",
+            )
+
+
+def _check_batteries(swarm: Swarm, where: str) -> None:
+    """Check that drones do not land at a voltage at which they may take off."""
+    for n, drone in enumerate(swarm.drones):
+        warning = drone.battery_warning
+        critical = drone.battery_critical
+        if warning is not None and critical is not None and critical >= warning:
+            raise ConfigError(
+                f"{where}: drones[{n}].battery_critical",
+                critical,
+                f"below battery_warning = {warning:g}",
+                "Lower it: under load the voltage is lower than at rest.",
+            )
 
 
 def _check_uris(swarm: Swarm, where: str) -> None:
@@ -798,8 +845,11 @@ def _check_partitions(swarm: Swarm, where: str) -> None:
 
 
 SWARM_CHECKS = (
+    _check_names,
     _check_uris,
     _check_platforms,
+    _check_batteries,
+    _check_logs,
     _check_delay,
     _check_roles,
     _check_speed,

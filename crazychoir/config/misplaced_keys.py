@@ -17,7 +17,7 @@ FILE_LABEL = ""
 """Label of the file itself."""
 ROW_NUMBER = re.compile(r"\[\d+\]")
 """Number of a table in a list of tables."""
-MOST_TABLES = 4
+MOST_TABLES = 5
 """Most tables that are named for one key."""
 OWN_KEYS = "mission_options"
 """Table for the user's own keys."""
@@ -62,9 +62,12 @@ def place_of_missing(name: str, raw: Mapping[str, Any], kind: Kind) -> str:
     fields = {entry.encode_name: entry for entry in msgspec.structs.fields(kind)}
     for other, value in raw.items():
         table = _table_of(fields[other])[0] if other in fields else None
-        for path, row in _rows(other, value):
-            if name in row and (table is None or name not in key_names(table)):
-                return f"It stands in {table_label(path)}. {_write_it_in_the_file(name, row[name], path)}"
+        found = [(path, row) for path, row in _rows(other, value) if name in row]
+        is_key_there = table is not None and name in key_names(table)
+        if is_key_there and len(found) > 1:
+            continue  # each row has a value of its own
+        for path, row in found:
+            return f"It stands in {table_label(path)}. {_write_it_in_the_file(name, row[name], path)}"
     return ""
 
 
@@ -97,8 +100,15 @@ def not_a_table(raw: object, key: str) -> str:
 
 
 def key_names(kind: Kind) -> list[str]:
-    """Return the keys of a table."""
-    return [entry.encode_name for entry in msgspec.structs.fields(kind)]
+    """Return the keys of a table: its own keys, then those that it shares with another table."""
+    return [entry.encode_name for entry in list_fields(kind)]
+
+
+def list_fields(kind: Kind) -> list[FieldInfo]:
+    """Return the fields of a table: its own, then those that it shares with another table."""
+    own = vars(kind).get("__annotations__", {})
+    fields = msgspec.structs.fields(kind)
+    return sorted(fields, key=lambda entry: entry.name not in own)
 
 
 def table_label(path: str) -> str:

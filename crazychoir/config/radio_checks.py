@@ -121,7 +121,7 @@ def camera_drones(swarm: Swarm) -> tuple[int, ...]:
 
 def body_name(drone: DroneTable) -> str:
     """Return the name of the drone in motion capture."""
-    return drone.body or f"cf{drone.id}"
+    return drone.body or drone.name or f"cf{drone.id}"
 
 
 def _check_bodies(swarm: Swarm, where: str) -> None:
@@ -365,7 +365,13 @@ def _check_uplink(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> None
     """
     ids = drones_by_dongle(swarm)[dongle]
     log_rate = swarm.radio.log_rate
-    logs = sum(
+    asked = sum(
+        row.rate
+        for row in swarm.logs
+        for i in ids
+        if row.drones is None or i in row.drones
+    )
+    logs = asked + sum(
         max(log_rate, RADIO_TRAFFIC.least_attitude_rate)
         if _is_sent_poses(swarm, i)
         else log_rate + RADIO_TRAFFIC.uncertainty_rate
@@ -385,7 +391,8 @@ def _check_uplink(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> None
     answers = f"{len(ids)} x {RADIO_TRAFFIC.echo_rate + RADIO_TRAFFIC.request_rate:g} echoes and answers"
     answers += f", {plans} x {RADIO_TRAFFIC.planner_rate:g} to plans" if plans else ""
     room = f"it carries {carries:g}, {_describe_spare_rate(carries)}"
-    less = (
+    less = "lower rates in [[logs]], " if asked else ""
+    less += (
         "a lower log_rate ([radio]), "
         if log_rate > RADIO_TRAFFIC.least_attitude_rate
         or not all(_is_sent_poses(swarm, i) for i in ids)

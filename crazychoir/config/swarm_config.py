@@ -12,6 +12,7 @@ from crazychoir.config.checks import check_swarm, graph_of, is_secured
 from crazychoir.config.file_paths import resolve_mission, resolve_paths
 from crazychoir.config.radio_checks import body_name, has_radio
 from crazychoir.config.reader import parse, read_table, require_plain
+from crazychoir.config.shared_drone_values import fill_in_defaults, leave_out_drones
 from crazychoir.config.shared_values import share
 from crazychoir.config.tables import (
     ControlTable,
@@ -60,7 +61,8 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True, dict=True):
     def of(cls, raw: dict[str, Any], where: str = "swarm") -> Self:
         """Return the swarm of plain values, as a parser returns them."""
         require_plain(raw, where)
-        config = read_table(raw, cls, where)
+        flown = leave_out_drones(fill_in_defaults(raw))
+        config = read_table(flown, cls, where)
         check_swarm(config, where)
         drones = tuple(
             msgspec.structs.replace(drone, uri=canonical_uri(drone.uri))

@@ -298,6 +298,38 @@ ThrustMap = Annotated[
 ]
 
 
+DroneName = Annotated[
+    str,
+    Meta(
+        pattern=r"^[A-Za-z0-9_.-]{0,40}\Z",
+        description="at most 40 of A-Z, a-z, 0-9, _, . and -",
+        examples=["cf231"],
+    ),
+]
+Volts = Annotated[
+    float,
+    Meta(ge=2.5, le=4.5, description="a voltage in V, 2.5 to 4.5", examples=[3.8]),
+]
+Variables = Annotated[
+    tuple[
+        Annotated[str, Meta(pattern=r"^[A-Za-z0-9_]+\.[A-Za-z0-9_]+\Z")],
+        ...,
+    ],
+    Meta(
+        min_length=1,
+        description="a list of log variables, each GROUP.NAME",
+        examples=[["pm.vbat", "stabilizer.roll"]],
+    ),
+]
+LogRate = Annotated[
+    float,
+    Meta(
+        ge=0.4,
+        le=100,
+        description="a rate in Hz, 0.4 to 100",
+        examples=[10],
+    ),
+]
 ThrustFactor = Annotated[
     float,
     Meta(ge=0.3, le=2.0, description="a share, 0.3 to 2", examples=[0.93]),
@@ -389,21 +421,13 @@ class CalibrationTable(SwarmTable, frozen=True, kw_only=True):
     """A s."""
 
 
-class DroneTable(SwarmTable, frozen=True, kw_only=True):
-    """One [[drones]]."""
+class SharedDroneTable(SwarmTable, frozen=True, kw_only=True):
+    """[defaults]: values for all [[drones]], which may have other ones."""
 
-    id: Id
-    """Number of the drone, unique in the swarm."""
-    home: Position
-    """(3,) m, world frame: place of the drone before the start."""
-    uri: Text = "sim://"
-    """World in which it flies, or the address at which a radio reaches it."""
     platform: Text = "paper"
     """Kind of Crazyflie."""
     yaw: Radians = 0.0
     """rad, world frame: heading at home."""
-    neighbors: Ids | None = None
-    """Drones that it receives from; None if the swarm file gives the graph in another way."""
     leader: Flag = False
     """True for a leader of a formation."""
     role: Text = ""
@@ -419,8 +443,6 @@ class DroneTable(SwarmTable, frozen=True, kw_only=True):
     """
     pose: PoseFrom = "mocap"
     """Source of its pose, for a drone with a radio."""
-    body: Body = ""
-    """Name in motion capture; if empty, "cf" and its id."""
     body_offset: Offset = (0.0, 0.0, 0.0)
     """(3,) m: tracked centre relative to the drone's centre."""
     body_rotation: Angles = (0.0, 0.0, 0.0)
@@ -429,8 +451,42 @@ class DroneTable(SwarmTable, frozen=True, kw_only=True):
     """
     parameters: Free = field(default_factory=dict)
     """Firmware parameters that are set at connection, in addition to those of [radio]."""
+    battery_warning: Volts | None = None
+    """V: a drone with a radio does not take off below this voltage; without it that of its platform."""
+    battery_critical: Volts | None = None
+    """V under load: a drone with a radio lands below this voltage; without it that of its platform."""
+
+
+class DroneTable(SharedDroneTable, frozen=True, kw_only=True):
+    """One [[drones]]."""
+
+    id: Id
+    """Number of the drone, unique in the swarm."""
+    home: Position
+    """(3,) m, world frame: place of the drone before the start."""
+    uri: Text = "sim://"
+    """World in which it flies, or the address at which a radio reaches it."""
+    name: DroneName = ""
+    """Name for people, unique in the swarm, and for motion capture without `body`."""
+    enabled: Flag = True
+    """False: the drone is left out of the run."""
+    neighbors: Ids | None = None
+    """Drones that it receives from; None if the swarm file gives the graph in another way."""
+    body: Body = ""
+    """Name in motion capture; if empty, its `name`, else "cf" and its id."""
     calibration: CalibrationTable = CalibrationTable()
     """What flights of this drone have told; see `crazychoir calibrate`."""
+
+
+class LogTable(SwarmTable, frozen=True, kw_only=True):
+    """One [[logs]]: log variables that drones tell during the flight; recorded, and drawn by `crazychoir plot`."""
+
+    variables: Variables
+    """Names of the variables, as the firmware has them."""
+    rate: LogRate = 10.0
+    """Hz."""
+    drones: Ids | None = None
+    """Drones that tell them; without it all."""
 
 
 class LinkTable(SwarmTable, frozen=True, kw_only=True):
@@ -790,6 +846,13 @@ Drones = Annotated[
         examples=[[{"id": 0, "home": [0.0, 0.6, 0.0]}]],
     ),
 ]
+Logs = Annotated[
+    tuple[LogTable, ...],
+    Meta(
+        description="a list of tables [[logs]]",
+        examples=[[{"variables": ["pm.vbat"], "rate": 1}]],
+    ),
+]
 LinkEdges = Annotated[
     tuple[EdgeTable, ...],
     Meta(
@@ -842,6 +905,10 @@ class Swarm(SwarmTable, frozen=True, kw_only=True):
     """Name of the swarm."""
     drones: Drones
     """The drones of the swarm."""
+    defaults: SharedDroneTable = SharedDroneTable()
+    """Values for all drones."""
+    left_out: Ids = ()
+    """Drones that are left out of the run, beside those with enabled = false."""
     mission: Mission | None = None
     """Mission to fly: a file in agents/, or the path of a .py file."""
     mission_options: Free = field(default_factory=dict)
@@ -898,6 +965,8 @@ class Swarm(SwarmTable, frozen=True, kw_only=True):
     """Controller and commands of drones without a role."""
     roles: Roles = ()
     """Controllers of drones with a role."""
+    logs: Logs = ()
+    """Log variables of drones that are recorded."""
 
 
 HOST_KEYS = ("hosts", "router", "security", "base_port", "network")

@@ -96,11 +96,8 @@ class Sensors:
         """
         if (names, period) in self._readings:
             return self._readings[names, period]
-        where = f"drone {self.port.address}: log"
         clock = self.port.bus.clock
-        check_log_period(period, where)
-        if self.known is not None:
-            check_log_names(names, self.known, where)
+        self.check(names, period)
         self.ask(names, period)
         if not self._readings:
             told = Call(clock, self._told, f"drone {self.port.address} telemetry")
@@ -111,6 +108,13 @@ class Sensors:
             clock, names, MOST_MISSED_PERIODS * period + DRONE_TOPICS.telemetry.max_age
         )
         return readings
+
+    def check(self, names: tuple[str, ...], period: float) -> None:
+        """Raise ConfigError for names that do not exist, as far as they are known here, or a wrong period."""
+        where = f"drone {self.port.address}: log"
+        check_log_period(period, where)
+        if self.known is not None:
+            check_log_names(names, self.known, where)
 
     def _told(self, said: dict[str, list[float]], age: float) -> None:
         for readings in self._readings.values():

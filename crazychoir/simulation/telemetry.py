@@ -64,6 +64,11 @@ def check_log_period(period: float, where: str) -> None:
         raise ConfigError(where, period, allowed)
 
 
+def round_log_period(rate: float) -> float:
+    """Return the period in s of a log block with this rate in Hz."""
+    return round(1.0 / (rate * LOG_PERIOD_STEP)) * LOG_PERIOD_STEP
+
+
 class Telemetry:
     """The requested log variables of the drones of one world.
 

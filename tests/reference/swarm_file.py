@@ -8,6 +8,7 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 import msgspec
 from msgspec.structs import FieldInfo
 
+from crazychoir.config.misplaced_keys import list_fields
 from crazychoir.config.tables import Swarm
 from reference.markdown import attribute_docs, one_line, table
 
@@ -25,7 +26,7 @@ def _walk(path: str, kind: Kind) -> Iterator[tuple[str, Kind]]:
     """Yield a table and the tables inside it; path: how it is written, "" for the file itself."""
     yield path, kind
     inside = path.strip("[]")
-    for entry in msgspec.structs.fields(kind):
+    for entry in list_fields(kind):
         name = f"{inside}.{entry.encode_name}" if inside else entry.encode_name
         own = next(_structs(entry.type), None)
         if own is not None:
@@ -51,7 +52,7 @@ def _section(path: str, kind: Kind) -> str:
             _default(entry),
             docs[entry.name],
         ]
-        for entry in msgspec.structs.fields(kind)
+        for entry in list_fields(kind)
     ]
     return f"## {title}\n\n{about}{table(('key', 'value', 'default', 'meaning'), rows)}"
 

@@ -127,7 +127,7 @@ def run(
                     what, request.swarm_file, mission, started, record, only is None
                 )
                 with LiveTable(build_status_table, enabled=not as_json) as progress:
-                    for text in warned:
+                    for text in (*_list_left_out(config), *warned):
                         progress.say(text)
                     config, result = _fly(flight, config, server, processes, progress)
                 result["picture"] = None
@@ -171,6 +171,14 @@ def _fly(
 
     display = FlightDisplay(progress, progress.say)
     return fly_in_real_time(server, flight, config, processes, display, announce)
+
+
+def _list_left_out(config: "SwarmConfig") -> list[str]:
+    """Return a text that names the drones that are left out of the run; empty if there are none."""
+    if not config.left_out:
+        return []
+    names = ", ".join(map(str, config.left_out))
+    return [f"Left out (enabled = false, or left_out): drones {names}"]
 
 
 def _draw_requested(

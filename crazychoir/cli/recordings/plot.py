@@ -57,7 +57,8 @@ def plot(
 ) -> None:
     """Draw plots of a recorded flight, and write its tables.
 
-    Plots: paths, heights, errors, distances, tasks, messages, convergence.
+    Plots: paths, heights, errors, distances, tasks, messages, convergence,
+    log variables.
     The tables (CSV) are written beside the pictures.
     """
     set_up_logging()

@@ -17,17 +17,17 @@ CASES = {
     "unknown key": (
         'colour = "red"',
         "",
-        'x.toml: colour = "red": there is no such key; the keys here are name, drones, mission, mission_options, '
-        "seed, graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, hosts, "
-        "router, security, network, flight, fence, keep_out, mocap, radio, plant, motors, mujoco, world, collision, "
-        "control, roles. Remove it; write your own keys into [mission_options].",
+        'x.toml: colour = "red": there is no such key; the keys here are name, drones, defaults, left_out, mission, '
+        "mission_options, seed, graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, "
+        "hosts, router, security, network, flight, fence, keep_out, mocap, radio, plant, motors, mujoco, world, collision, "
+        "control, roles, logs. Remove it; write your own keys into [mission_options].",
     ),
     "misspelt key of a drone": (
         "",
         "neighbours = [2]",
-        "x.toml: drones[3].neighbours = [2]: there is no such key; the keys here are id, home, uri, platform, yaw, "
-        "neighbors, leader, role, host, options, dongle, pose, body, body_offset, body_rotation, parameters, "
-        "calibration. Did you mean neighbors?",
+        "x.toml: drones[3].neighbours = [2]: there is no such key; the keys here are id, home, uri, name, enabled, "
+        "neighbors, body, calibration, platform, yaw, leader, role, host, options, dongle, pose, body_offset, "
+        "body_rotation, parameters, battery_warning, battery_critical. Did you mean neighbors?",
     ),
     "unknown key beside one that is missing": (
         "network.partitions = [{ groups = [[0]], since = 8.0 }]",
@@ -414,7 +414,7 @@ def test_the_square_itself_is_right() -> None:
         ),
         (
             'name = "x"\ndrones = [3]',
-            "x.toml: drones[0]: found 3; allowed: a table with id, home, uri, platform",
+            "x.toml: drones[0]: found 3; allowed: a table with id, home, uri, name",
         ),
         (
             'name = "x"\ndrones = 3',
@@ -504,7 +504,7 @@ def test_every_key_says_what_is_allowed_and_its_example_is() -> None:
         for kind in vars(tables).values()
         if isinstance(kind, type) and issubclass(kind, tables.SwarmTable)
     ]
-    assert len(structs) == 22
+    assert len(structs) == 24
     for kind in structs:
         for entry in msgspec.structs.fields(kind):
             said = next(
