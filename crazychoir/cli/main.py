@@ -25,6 +25,7 @@ from crazychoir.cli.setup import (
     compile_laws,
     doctor,
     identify,
+    import_swarm,
     keys,
     push,
     radio,
@@ -86,6 +87,7 @@ COMMANDS_BY_GROUP: dict[CommandGroup, dict[str, Callable[..., None]]] = {
         "push": push.push,
         "router": router.router,
         "identify": identify.identify,
+        "import": import_swarm.import_swarm,
     },
 }
 """The commands of each group, by name, in the order of --help."""

@@ -18,9 +18,9 @@ CASES = {
         'colour = "red"',
         "",
         'x.toml: colour = "red": there is no such key; the keys here are name, drones, defaults, left_out, mission, '
-        "mission_options, seed, graph, edges, directed, start, start_deadline, lost_after, lease, base_port, processes, "
-        "hosts, router, security, network, flight, fence, keep_out, mocap, radio, plant, motors, mujoco, world, collision, "
-        "control, roles, logs. Remove it; write your own keys into [mission_options].",
+        "mission_options, seed, graph, edges, directed, start, start_deadline, lost_after, lease, base_port, "
+        "processes, hosts, router, security, network, flight, fence, keep_out, mocap, radio, plant, motors, "
+        "mujoco, world, collision, control, roles, logs. Remove it; write your own keys into [mission_options].",
     ),
     "misspelt key of a drone": (
         "",
