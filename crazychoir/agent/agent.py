@@ -182,6 +182,9 @@ class Agent:
         self.drones[i] = drone
         if drone.remote is not None:
             drone.remote.found_cut = partial(self._found_cut, i)
+        if drone.sensors is not None:
+            for variables, period in self._list_logs(drone):
+                drone.sensors.check(variables, period)
         commands = DroneCommands(drone, self._orders_of(drone), self._hear_console)
         self.commands[i] = commands
         CommandServer(drone.port, commands.execute, commands.stop)
@@ -259,8 +262,9 @@ class Agent:
 
         When it ends the drone flies on until it is down.
         """
-        for variables, period in self._list_logs(drone):
-            drone.sensors.log(variables, period)
+        if drone.sensors is not None:
+            for variables, period in self._list_logs(drone):
+                drone.sensors.log(variables, period)
         supervisor = self._supervisor(drone.id)
         runner = MissionRunner(drone, self.config, self.watchdog, self.laws)
         self.runners[drone.id] = runner

@@ -7,7 +7,7 @@ from typing import Any
 from crazychoir.agent.dead_man import WATCHED_COMMAND
 from crazychoir.agent.drone import Drone
 from crazychoir.agent.operator_commands import OperatorCommands
-from crazychoir.agent.steering import Steering
+from crazychoir.agent.steering import FIRMWARE_DEADLINE, Steering, require_firmware
 from crazychoir.bus.commands import COMMANDED_PREFIX
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.errors import Refused
@@ -41,11 +41,13 @@ class DroneCommands:
             "fly": steering.fly,
             "impair": self._impair,
             "param_set": self._set_parameter,
+            "firmware_set": partial(self._ask_firmware, "firmware_set"),
             "task_add": partial(self._ask_mission, "task_add"),
             "task_cancel": partial(self._ask_mission, "task_cancel"),
         }
         self._queries: Mapping[str, CommandMethod] = {
             "param_get": self._list_parameters,
+            "firmware_get": partial(self._ask_firmware, "firmware_get"),
             "task_list": partial(self._ask_mission, "task_list"),
             "overview": self._overview,
             "ping": self._ping,
@@ -96,6 +98,10 @@ class DroneCommands:
 
     async def _list_parameters(self, arguments: Arguments) -> Any:
         return self.drone.pilot.follower.parameters.values(arguments.get("name"))
+
+    async def _ask_firmware(self, verb: str, arguments: Arguments) -> Any:
+        remote = require_firmware(self.drone)
+        return await remote.request(verb, FIRMWARE_DEADLINE, **arguments)
 
     async def _ask_mission(self, verb: str, arguments: Arguments) -> Any:
         guidance = self.drone.guidance

@@ -4,7 +4,7 @@ shifted.
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,7 @@ from crazychoir.planning.number_table import read_table_text
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.placed_trajectory import place_trajectory
 from crazychoir.planning.trajectory_file import has_pieces, parse_pieces
+from crazychoir.planning.upload import require_memory
 from crazychoir.types import Mat
 
 Offset = tuple[float, float, float]
@@ -281,6 +282,30 @@ def flight_messages(
     return told
 
 
+def on_board_messages(
+    messages: dict[int, dict[str, Any]], slower: float, is_reversed: bool
+) -> dict[int, dict[str, Any]]:
+    """Return the arguments of `fly` for flights from the memory of each drone.
+
+    The memory holds the trajectory at its own pace and from its start; the planner on board slows and
+    reverses it.
+
+    messages: what `flight_messages` returns, of the flights as they are flown
+    slower: factor by which these flights are slower
+    is_reversed: whether these flights are reversed
+    Raises ConfigError for a trajectory that does not fit into the memory.
+    """
+    told = {}
+    for i, message in messages.items():
+        flown = Piecewise(message["coefficients"], message["durations"])
+        plain = flown.reversed() if is_reversed else flown
+        plain = plain.slowed(1.0 / slower)
+        require_memory(plain)
+        on_board = {"timescale": slower, "reversed": is_reversed}
+        told[i] = {**message, **path_message(plain), "on_board": on_board}
+    return told
+
+
 def _check_apart(drones: Sequence[int], offset: Offset, config: SwarmConfig) -> None:
     """Raise ConfigError if two drones would be nearer than the collision filter allows."""
     collision = config.collision
@@ -322,6 +347,7 @@ def plan_file(
     height: float | None,
     v_max: float,
     slower: float,
+    is_reversed: bool = False,
 ) -> PlannedSketch:
     """Return the flight along the strokes or the trajectory of a file.
 
@@ -329,16 +355,18 @@ def plan_file(
         height, or as in the file
     v_max: m/s, along strokes
     slower: factor on the shortest duration along strokes, or on the duration of the trajectory
+    is_reversed: whether to fly from the end to the start; `height` is then that of the end of the file
     Raises ConfigError for a file that cannot be read or flown.
     """
     if path.suffix.lower() == ".csv" and has_pieces(text := read_table_text(path)):
-        return plan_trajectory(
-            parse_pieces(text, path), config, str(path), slower, height
-        )
+        whole = parse_pieces(text, path)
+        whole = whole.reversed() if is_reversed else whole
+        return plan_trajectory(whole, config, str(path), slower, height)
     if height is None:
         height = config.flight.ground + config.flight.takeoff_height
     pen = Pen(height=height, smoothing=SKETCH_LIMITS.hand_deviation)
-    return plan_sketch(load_file(path), pen, config, v_max=v_max, slower=slower)
+    plan = plan_sketch(load_file(path), pen, config, v_max=v_max, slower=slower)
+    return replace(plan, path=plan.path.reversed()) if is_reversed else plan
 
 
 def load_file(path: Path) -> list[list[list[float]]]:

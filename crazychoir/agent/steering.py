@@ -18,6 +18,7 @@ from crazychoir.guidance.member import describe_state
 from crazychoir.guidance.turns import is_blocked
 from crazychoir.planning.piecewise import POLYNOMIAL_DEGREE, Piecewise
 from crazychoir.safety.rules.modes import Mode
+from crazychoir.simulation.remote import RemoteLink
 from crazychoir.types import Vec
 
 STEERING_INTERVAL = 0.05
@@ -26,6 +27,10 @@ ARRIVAL_ALLOWANCE = 60.0
 """s beyond the planned time of a flight to an operator's goal, for other drones in the way."""
 STOPPED_REFUSAL = "emergency stop in force: no flight until `crazychoir stop --clear`"
 """Reason for a refusal during an emergency stop."""
+FIRMWARE_DEADLINE = 4.5
+"""s: longest time for an answer of a drone's firmware."""
+UPLOAD_DEADLINE = 30.0
+"""s: longest time for the upload of a trajectory: 171 packets."""
 PIECE_SIZE = 8 * (4 * (POLYNOMIAL_DEGREE + 1) + 1)
 """Bytes of a piece of a path in a message."""
 MOST_PIECES = MAX_PAYLOAD // PIECE_SIZE - 10
@@ -42,6 +47,25 @@ class OperatorGoal(Struct, frozen=True, forbid_unknown_fields=True):
     """rad. None: keep the present yaw."""
     duration: Annotated[float, Meta(ge=0.0, le=600.0)] = 0.0
     """s, or 0: as fast as the limits allow."""
+
+
+class OnBoardFlight(Struct, frozen=True, forbid_unknown_fields=True):
+    """How the planner on board flies an uploaded trajectory."""
+
+    timescale: Annotated[float, Meta(ge=0.05, le=20.0)] = 1.0
+    """Factor on its duration."""
+    reversed: bool = False
+    """Whether it is flown from its end to its start."""
+
+
+def require_firmware(drone: Drone) -> RemoteLink:
+    """Return the link to the firmware of a drone; raise Refused if it has none."""
+    if drone.remote is None or drone.radio_watch is None:
+        raise Refused(
+            f"drone {drone.id}",
+            "it has no firmware here: only drones with a uri udp:// or radio:// have",
+        )
+    return drone.remote
 
 
 def path_message(path: Piecewise) -> dict[str, Any]:
@@ -89,25 +113,39 @@ class Steering:
     async def fly(self, arguments: dict[str, Any]) -> str:
         """Go to the start of the path in the arguments, and fly the path.
 
-        With `relative` in the arguments, the path begins where the drone is. A leader of a formation
+        With `relative` in the arguments, the path begins where the drone is. With `on_board`, an
+        OnBoardFlight, the planner on board flies it from its memory. A leader of a formation
         that flies its mission takes the path into the mission.
         Raises Refused with the reason if the path is not flown.
         """
         self._require_cleared()
         try:
             path = Piecewise(arguments["coefficients"], arguments["durations"])
+            on_board = self._read_on_board(arguments)
             if self.drone.pilot.airborne and not self.drone.pilot.permission.steerable:
                 return self.drone.guidance.led(path)
-            if arguments.get("relative", False):
-                path = self._shift_here(path)
-            require_feasible(path, self.drone.pilot)
+            flown = path
+            if on_board is not None:
+                flown = path.slowed(on_board.timescale)
+                flown = flown.reversed() if on_board.reversed else flown
+            if is_relative := bool(arguments.get("relative", False)):
+                flown = self._shift_here(flown)
+            require_feasible(flown, self.drone.pilot)
         except (ConfigError, KeyError, TypeError, ValueError) as error:
             self._refuse(f"fly: {error}")
         self._require_steerable()
-        pilot = self.drone.pilot
         turn = self._turn()
-        start = path.sample(0.0)
+        if on_board is not None:
+            await self._upload(path)
+        start = flown.sample(0.0)
         await self._reach(start.p, start.yaw, 0.0, turn)
+        if on_board is not None:
+            await self._start_on_board(flown, on_board, is_relative)
+        return await self._follow(flown, turn)
+
+    async def _follow(self, path: Piecewise, turn: int) -> str:
+        """Fly the path from its start, where the drone is. Raises Refused if it is not flown to its end."""
+        pilot = self.drone.pilot
         left = pilot.fly(path, commanded=True)
         while left > 0.0 and pilot.flights.plan is path:
             await self._look(turn)
@@ -120,6 +158,37 @@ class Steering:
                 f"its path was not flown to the end: {pilot.notes.text or pilot.mode.value}"
             )
         return "flown"
+
+    def _read_on_board(self, arguments: dict[str, Any]) -> OnBoardFlight | None:
+        """Return how the planner on board flies the path; None if the drone's agent flies it."""
+        told = arguments.get("on_board")
+        try:
+            return None if told is None else msgspec.convert(told, OnBoardFlight)
+        except msgspec.ValidationError as error:
+            self._refuse(f"fly: on_board: {error}")
+
+    async def _upload(self, path: Piecewise) -> None:
+        """Upload the path into the memory of the drone. Raises Refused with the reason."""
+        remote = require_firmware(self.drone)
+        told = {"coefficients": path.coefficients.copy(), "durations": path.durations}
+        await remote.request("trajectory_upload", UPLOAD_DEADLINE, **told)
+
+    async def _start_on_board(
+        self, flown: Piecewise, on_board: OnBoardFlight, is_relative: bool
+    ) -> None:
+        """Let the planner on board begin the uploaded path. Raises Refused with the reason.
+
+        flown: the path in the world, as it will be flown
+        """
+        await require_firmware(self.drone).request(
+            "trajectory_start",
+            FIRMWARE_DEADLINE,
+            coefficients=flown.coefficients.copy(),
+            durations=flown.durations,
+            timescale=on_board.timescale,
+            reversed=on_board.reversed,
+            relative=is_relative,
+        )
 
     def _shift_here(self, path: Piecewise) -> Piecewise:
         """Return the path from the place of the drone on; its heading stays as it is in the path."""

@@ -100,12 +100,12 @@ def not_a_table(raw: object, key: str) -> str:
 
 
 def key_names(kind: Kind) -> list[str]:
-    """Return the keys of a table: its own keys, then those that it shares with another table."""
+    """Return the keys of a table: its own keys, then the keys that it shares with another table."""
     return [entry.encode_name for entry in list_fields(kind)]
 
 
 def list_fields(kind: Kind) -> list[FieldInfo]:
-    """Return the fields of a table: its own, then those that it shares with another table."""
+    """Return the fields of a table: its own, then the fields that it shares with another table."""
     own = vars(kind).get("__annotations__", {})
     fields = msgspec.structs.fields(kind)
     return sorted(fields, key=lambda entry: entry.name not in own)

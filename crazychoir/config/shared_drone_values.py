@@ -5,7 +5,7 @@ tables, which refuses them.
 """
 
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, TypeGuard
 
 Raw = dict[str, Any]
 """Plain values of a swarm file."""
@@ -105,7 +105,7 @@ def _without(ids: Any, gone: list[Any]) -> list[Any]:
     return [i for i in ids if i not in gone]
 
 
-def _is_list_of_tables(rows: object) -> bool:
+def _is_list_of_tables(rows: object) -> TypeGuard[list[Mapping[str, Any]]]:
     return isinstance(rows, list | tuple) and all(
         isinstance(row, Mapping) for row in rows
     )

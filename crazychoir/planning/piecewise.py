@@ -225,6 +225,25 @@ class Piecewise:
             self.durations * factor,
         )
 
+    def reversed(self) -> "Piecewise":
+        """Return the same path from its end to its start: q(t) = p(T - t).
+
+        With s = T_i - t, a piece has  sum_n c_n (T_i - s)^n = sum_m s^m (-1)^m sum_n C(n, m) c_n T_i^(n - m).
+        """
+        c = self.coefficients[::-1]
+        durations = self.durations[::-1]
+        turned = np.zeros_like(c)
+        for m in range(POLYNOMIAL_DEGREE + 1):
+            n = np.arange(m, POLYNOMIAL_DEGREE + 1)
+            binomials = FACTORIAL_TABLE[n] / (
+                FACTORIAL_TABLE[m] * FACTORIAL_TABLE[n - m]
+            )
+            powers = durations[:, None, None] ** (n - m)
+            turned[:, :, m] = (-1) ** m * np.sum(
+                binomials * c[:, :, m:] * powers, axis=2
+            )
+        return Piecewise(turned, durations)
+
     def shifted(self, by: Sequence[float]) -> "Piecewise":
         """Return the same flight shifted by `by`, (3,) m."""
         coefficients = self.coefficients.copy()

@@ -51,6 +51,20 @@ class TrajectoryUpload:
         )
 
 
+def require_memory(path: Piecewise) -> None:
+    """Raise ConfigError for a trajectory with more pieces than the memory of a Crazyflie has room for."""
+    pieces = len(path.durations)
+    size = 4 * TRAJECTORY_MEMORY.piece_size
+    if pieces > TRAJECTORY_MEMORY.most_pieces:
+        raise ConfigError(
+            "trajectory on board",
+            f"{pieces} pieces, {pieces * size} bytes",
+            f"at most {TRAJECTORY_MEMORY.most_pieces} pieces of {size} bytes: the memory has "
+            f"{TRAJECTORY_MEMORY.byte_count}",
+            "Fly it without --on-board, or split it.",
+        )
+
+
 def fit_upload(
     trajectory: Trajectory, tolerance: float = 0.001, yaw_tolerance: float = 0.01
 ) -> TrajectoryUpload:

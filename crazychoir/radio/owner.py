@@ -16,6 +16,7 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.control.robots import find_sender
 from crazychoir.errors import Refused, error_text
 from crazychoir.radio.budget import compute_setpoint_rates
+from crazychoir.radio.drone.firmware_access import FirmwareAccess
 from crazychoir.radio.drone.radio_drone import RadioDrone, SharedRadio
 from crazychoir.radio.drone.timing import LINK_CHECK_RATE, SILENCE_LIMITS
 from crazychoir.radio.link.dongles import PROCESS_DONGLES
@@ -101,7 +102,11 @@ class RadioProcess(Actor):
                 drone.setup.kind,
                 flight=config.flight,
                 requests=BodyRequests(
-                    ask=drone.requested_logs.ask, arm=drone.motors.arm
+                    ask=drone.requested_logs.ask,
+                    arm=drone.motors.arm,
+                    firmware=FirmwareAccess(
+                        drone.setup, drone.link, drone.commands.on_board
+                    ).requests,
                 ),
             )
             for i, drone in self.drones.items()

@@ -7,7 +7,7 @@ import asyncio
 import logging
 import math
 from collections.abc import Awaitable, Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -204,18 +204,26 @@ class RemoteLink:
 
         Raises Refused with the reason if the owner refuses or does not answer.
         """
+        return str(await self.request("arm", REMOTE_TIMEOUTS.arming_answer))
+
+    async def request(self, verb: str, seconds: float, **arguments: Any) -> Any:
+        """Let the owner do something with the body, and return its answer.
+
+        seconds: s: deadline for the answer
+        Raises Refused with the reason if the owner refuses or does not answer.
+        """
+        where = f"drone {self.port.address}"
         try:
             answer = await self._commander.request(
-                self._body, "arm", REMOTE_TIMEOUTS.arming_answer
+                self._body, verb, seconds, **arguments
             )
         except TimeoutError:
             raise Refused(
-                f"drone {self.port.address}",
-                f"no answer of {self.owner} within {REMOTE_TIMEOUTS.arming_answer:g} s",
+                where, f"no answer of {self.owner} within {seconds:g} s"
             ) from None
         if answer.kind != ANSWER_TEXTS.done:
-            raise Refused(f"drone {self.port.address}", str(answer.detail))
-        return str(answer.detail)
+            raise Refused(where, str(answer.detail))
+        return answer.detail
 
     def cut(self) -> None:
         """Stop the motors for good."""
@@ -312,6 +320,10 @@ class BodyRequests:
     """Publishes these log variables, with this period in s; None if the owner cannot."""
     arm: Callable[[], Awaitable[str]] | None = None
     """Arms the motors and returns the answer; None if the owner cannot."""
+    firmware: Mapping[str, Callable[[dict[str, Any]], Awaitable[Any]]] = field(
+        default_factory=dict
+    )
+    """Requests for the firmware of the drone, by verb."""
 
 
 NO_BODY_REQUESTS = BodyRequests()
@@ -348,6 +360,7 @@ class RemoteBody:
         self.obeyed = obeyed
         self._ask = requests.ask
         self._arm = requests.arm
+        self._firmware = requests.firmware
         self.flight = FlightTable() if flight is None else flight
         self.drone = port.address - PORT_ADDRESSES.body_offset
         self.refused = 0
@@ -509,6 +522,8 @@ class RemoteBody:
             if self.was_cut:
                 raise Refused(f"body of drone {self.drone}", "its motors were cut")
             return await self._arm()
+        if verb in self._firmware:
+            return await self._firmware[verb](arguments)
         raise Refused(
             f"body of drone {self.drone}",
             f"{verb!r} is its agent's; only an emergency stop counts here",

@@ -98,6 +98,17 @@ def fly(
             "--relative", help="A trajectory begins where each drone is; no --offset."
         ),
     ] = False,
+    on_board: Annotated[
+        bool,
+        typer.Option(
+            "--on-board",
+            help="The drone flies the trajectory from its own memory (31 pieces; sender xyz).",
+        ),
+    ] = False,
+    reverse: Annotated[
+        bool,
+        typer.Option("--reverse", help="From the end of a trajectory to its start."),
+    ] = False,
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -106,7 +117,11 @@ def fly(
     A trajectory is a CSV file of polynomials of degree 7, as Crazyswarm has
     them. Leaders may also fly it with their formation.
     """
-    from crazychoir.agent.sketch import flight_messages, plan_file
+    from crazychoir.agent.sketch import (
+        flight_messages,
+        on_board_messages,
+        plan_file,
+    )
 
     step = _metres("--offset", offset)
     chosen = tuple(parse_drones(drones) or ())
@@ -117,8 +132,11 @@ def fly(
         nonlocal spent
         window.check("--drones", chosen)
         config = window.config
-        plan = plan_file(file, config, height, speed, slower)
-        told.update(flight_messages(plan.path, chosen, step, config, relative))
+        plan = plan_file(file, config, height, speed, slower, reverse)
+        messages = flight_messages(plan.path, chosen, step, config, relative)
+        if on_board:
+            messages = on_board_messages(messages, slower, reverse)
+        told.update(messages)
         spent += plan.path.duration
         ERROR_CONSOLE.print(
             f"{plan.path.duration:.1f} s, at most {plan.speed:.2f} m/s, {plan.acceleration:.2f} m/s2"

@@ -21,29 +21,36 @@ if TYPE_CHECKING:
     from crazychoir.cli.shared.observer import Answers, Window
 
 app = typer.Typer(no_args_is_help=True, help="Read and change parameters in flight.")
+FirmwareOption = Annotated[
+    bool,
+    typer.Option(
+        "--firmware",
+        help="Parameters of the drone's firmware, as ring.effect, also in flight.",
+    ),
+]
 DroneOption = Annotated[int | None, options.drone("Only this drone.")]
 
 
 @app.command(name="get")
 def read(
     name: Annotated[
-        str | None, typer.Argument(help="Parameter, as control.kp; without: all.")
+        str | None,
+        typer.Argument(
+            help="Parameter, as control.kp; without: all. Of the firmware: a parameter or a group."
+        ),
     ] = None,
     drone: DroneOption = None,
+    firmware: FirmwareOption = False,
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Print the parameters of each drone."""
-    _conclude(
-        _ask_drones(
-            swarm,
-            drone,
-            "param_get",
-            as_json,
-            **({} if name is None else {"name": name}),
-        ),
-        as_json,
-    )
+    """Print the parameters of each drone, or of its firmware."""
+    if firmware and name is None:
+        allowed = "a parameter of the firmware, as ring.effect, or a group, as ring"
+        exit_with_error(ConfigError("NAME", "nothing", allowed), as_json)
+    verb = "firmware_get" if firmware else "param_get"
+    named = {} if name is None else {"name": name}
+    _conclude(_ask_drones(swarm, drone, verb, as_json, **named), as_json)
 
 
 @app.command(name="set")
@@ -51,17 +58,19 @@ def change(
     name: Annotated[str, typer.Argument(help="Parameter, as control.kr.")],
     value: Annotated[str, typer.Argument(help="A number, or three as 8,8,4.")],
     drone: DroneOption = None,
+    firmware: FirmwareOption = False,
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Change a parameter in flight, within its stable range.
 
-    Exits with 0 only if every drone has changed it.
+    With --firmware it is a parameter of the firmware, such as ring.effect or
+    led.bitmask; its value is read back. Exits with 0 only if every drone has
+    changed it.
     """
-    _conclude(
-        _ask_drones(swarm, drone, "param_set", as_json, name=name, value=_value(value)),
-        as_json,
-    )
+    verb = "firmware_set" if firmware else "param_set"
+    answers = _ask_drones(swarm, drone, verb, as_json, name=name, value=_value(value))
+    _conclude(answers, as_json)
 
 
 def _ask_drones(

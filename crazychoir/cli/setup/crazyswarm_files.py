@@ -1,4 +1,4 @@
-"""The configuration files of Crazyswarm2: their values, and remarks on those that have no equivalent here."""
+"""The configuration files of Crazyswarm2: their values, and remarks on values without an equivalent here."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -60,15 +60,15 @@ def read_yaml(path: Path) -> dict[str, Any]:
         raise ConfigError(where, problem, "YAML", "Correct the line.") from error
     if not isinstance(raw, Mapping):
         raise ConfigError(f"{path}", show_value(raw), "tables, as crazyflies.yaml has")
-    return convert_keys(raw)
+    return {str(key): _convert_keys(value) for key, value in raw.items()}
 
 
-def convert_keys(value: Any) -> Any:
+def _convert_keys(value: Any) -> Any:
     """Return plain values with texts as keys; YAML may have numbers there."""
     if isinstance(value, Mapping):
-        return {str(key): convert_keys(inner) for key, inner in value.items()}
+        return {str(key): _convert_keys(inner) for key, inner in value.items()}
     if isinstance(value, list):
-        return [convert_keys(inner) for inner in value]
+        return [_convert_keys(inner) for inner in value]
     return value
 
 

@@ -52,7 +52,7 @@ DEFAULT_TOPICS = {
 """Default topics of Crazyswarm2 that are always there."""
 SCAN_VARIABLES = ("range.front", "range.back", "range.left", "range.right")
 """Log variables of the topic scan."""
-SOURCES = ("vicon", "optitrack", "qualisys", "vrpn", "mock")
+CAMERA_TYPES = ("vicon", "optitrack", "qualisys", "vrpn", "mock")
 """Types of motion capture that are known here by the same name."""
 SHARED_DRONES = 3
 """Most drones of a dongle that get streamed set-points; more get "xyz"."""
@@ -288,7 +288,7 @@ class _RobotReader:
         return row
 
     def _find_parameters(self, table: Mapping[str, Any], key: str) -> dict[str, float]:
-        """Return the firmware parameters GROUP.NAME of a level; those that are set here are left out."""
+        """Return the firmware parameters GROUP.NAME of a level; parameters that are set here are left out."""
         from crazychoir.radio.virtual.toc import read_firmware_names
 
         known = {entry.full: entry for entry in read_firmware_names()[1]}
@@ -411,10 +411,10 @@ def _read_mocap(path: Path, swarm: ImportedSwarm) -> None:
     """Read motion_capture.yaml: its type and address; all else is noted."""
     key, table = read_ros_parameters(path)
     kind = str(table.get("type", ""))
-    if kind in SOURCES:
+    if kind in CAMERA_TYPES:
         swarm.mocap["source"] = kind
     else:
-        allowed = ", ".join(SOURCES)
+        allowed = ", ".join(CAMERA_TYPES)
         swarm.remarks.add(
             path.name, f"{key}.type", kind, f"not known here; these are: {allowed}"
         )

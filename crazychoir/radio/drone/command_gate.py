@@ -9,6 +9,7 @@ from crazychoir.radio.drone.camera_view import CameraView
 from crazychoir.radio.drone.command_transmitter import CommandTransmitter
 from crazychoir.radio.drone.current_link import CurrentLink
 from crazychoir.radio.drone.drone_setup import DroneSetup
+from crazychoir.radio.drone.firmware_access import OnBoardTrajectory
 from crazychoir.radio.drone.landing_repeater import LandingRepeater
 from crazychoir.radio.drone.motor_switch import MotorSwitch
 from crazychoir.radio.drone.own_estimate import OwnEstimate
@@ -53,6 +54,8 @@ class CommandGate:
         """Whether the last command asked for motors that are off."""
         self.has_flown_here = False
         """Whether a command of this process has reached the drone and let it fly."""
+        self.on_board = OnBoardTrajectory(setup)
+        """The trajectory that the planner on board flies by itself."""
         self._setup = setup
         self._clock = setup.clock
         self._link = link
@@ -66,7 +69,7 @@ class CommandGate:
 
     def send(self, command: Command) -> None:
         """Send a command to the drone: a set-point when the next one is due, a plan at once."""
-        if self._motors.is_cut:
+        if self._motors.is_cut or self.on_board.covers(command):
             return
         if isinstance(command, XYZ) and command.verb == "land":
             self._landing.begin(command)

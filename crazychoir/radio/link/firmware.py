@@ -111,6 +111,17 @@ class ConnectedFirmware:
             )
         return value
 
+    def list_names(self, name: str) -> list[str]:
+        """Return the parameters of a group, or the parameter of this name.
+
+        Raises LinkFailed if there is none.
+        """
+        toc = self.connection.cf.param.toc.toc
+        if name in toc:
+            return [f"{name}.{item}" for item in sorted(toc[name])]
+        self._parameter(name)
+        return [name]
+
     async def set_all(self, values: Mapping[str, float]) -> None:
         """Set several parameters, one after the other."""
         for name, value in values.items():
@@ -177,7 +188,11 @@ class ConnectedFirmware:
         )
 
     async def start(
-        self, slot: int, timescale: float = 1.0, relative: bool = False
+        self,
+        slot: int,
+        timescale: float = 1.0,
+        relative: bool = False,
+        is_reversed: bool = False,
     ) -> None:
         """Start an uploaded trajectory.
 
@@ -186,10 +201,11 @@ class ConnectedFirmware:
 
         timescale: factor by which the trajectory is slower
         relative: start from where the drone is
+        is_reversed: fly it from its end to its start
         """
         await self.plan(
             PACKET_FORMS["start_trajectory"].packet(
-                ALL_GROUPS, relative, False, False, slot, timescale
+                ALL_GROUPS, relative, False, is_reversed, slot, timescale
             ),
             math.inf,
         )

@@ -72,8 +72,8 @@ async def test_changes_are_published(commands, said):
 
 async def test_unknown_command_is_refused_with_the_list_of_commands(commands):
     allowed = (
-        "arm, take-off, start, hold, go, land, home, go-to, fly, impair, param_set, "
-        "task_add, task_cancel, param_get, task_list, overview, ping, watched"
+        "arm, take-off, start, hold, go, land, home, go-to, fly, impair, param_set, firmware_set, "
+        "task_add, task_cancel, param_get, firmware_get, task_list, overview, ping, watched"
     )
     with pytest.raises(Refused) as refused:
         await commands.execute("dance", {})
@@ -90,3 +90,35 @@ async def test_emergency_stop_cuts_the_motors(commands, said):
     assert [type(word) for word in said] == [tuple]
     commands.stop(True)
     assert said[-1] == "emergency stop"
+
+
+class AnswersRequests:
+    """A link to a body that notes what it is asked."""
+
+    def __init__(self):
+        self.asked = []
+
+    async def request(self, verb, seconds, **arguments):
+        self.asked.append((verb, arguments))
+        return {"led.bitmask": 255.0}
+
+
+async def test_parameters_of_the_firmware_are_asked_of_the_owner_of_its_dongle(
+    commands, said
+):
+    commands.drone.remote = AnswersRequests()
+    commands.drone.radio_watch = object()
+    told = {"name": "led.bitmask", "value": 255.0}
+    assert await commands.execute("firmware_set", told) == {"led.bitmask": 255.0}
+    assert await commands.execute("firmware_get", {"name": "led"})
+    assert commands.drone.remote.asked == [
+        ("firmware_set", told),
+        ("firmware_get", {"name": "led"}),
+    ]
+    assert said == [(DRONE_TOPICS.log, "drone 3: commanded: firmware_set")]
+
+
+async def test_a_drone_without_a_radio_has_no_firmware(commands):
+    commands.drone.remote = commands.drone.radio_watch = None
+    with pytest.raises(Refused, match="drone 3: refused: it has no firmware here"):
+        await commands.execute("firmware_get", {"name": "led"})

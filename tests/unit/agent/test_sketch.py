@@ -8,6 +8,7 @@ from crazychoir.agent.sketch import (
     SKETCH_LIMITS,
     flight_messages,
     load_with_remarks,
+    on_board_messages,
     plan_file,
     plan_sketch,
     strokes_as_text,
@@ -296,3 +297,28 @@ def test_a_wrong_number_in_a_file_of_pieces_is_named_with_its_line(tmp_path):
     file.write_text("\n".join(rows))
     with pytest.raises(ConfigError, match=r"eight.csv, line 3, column 2 \(x\^0\)"):
         plan_file(file, config_of(), height=1.0, v_max=0.5, slower=1.0)
+
+
+def test_the_memory_of_a_drone_gets_a_trajectory_at_its_own_pace_from_its_start(
+    tmp_path,
+):
+    file = tmp_path / "eight.csv"
+    eight = write_eight(file)
+    plan = plan_file(file, config_of(), 1.0, 0.5, slower=2.0, is_reversed=True)
+    flown = flight_messages(plan.path, (2,), (0.0, 0.0, 0.0), config_of())
+    told = on_board_messages(flown, 2.0, is_reversed=True)[2]
+    assert told["on_board"] == {"timescale": 2.0, "reversed": True}
+    stored = Piecewise(told["coefficients"], told["durations"])
+    assert stored.duration == pytest.approx(eight.duration)
+    away = stored.sample(1.0).p - eight.sample(1.0).p
+    assert away == pytest.approx([0.0, 0.0, 1.0], abs=1e-6)
+
+
+def test_more_pieces_than_the_memory_has_room_for_are_refused_with_its_size():
+    hop = np.zeros((32, 4, 8))
+    long = {2: {"coefficients": hop, "durations": np.full(32, 0.5)}}
+    words = (
+        r"trajectory on board: found 32 pieces, 4224 bytes; allowed: at most 31 pieces"
+    )
+    with pytest.raises(ConfigError, match=words):
+        on_board_messages(long, 1.0, is_reversed=False)

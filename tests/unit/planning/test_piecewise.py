@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from crazychoir.errors import ConfigError
+from crazychoir.planning.minimum_snap import minimum_snap
 from crazychoir.planning.piecewise import Piecewise, join_pieces
 from crazychoir.planning.spline import fit_spline
 
@@ -94,3 +95,15 @@ def test_yaw_goes_on_where_flights_are_joined():
     assert both.sample(2.0).yaw == pytest.approx(2.0 * np.pi)
     assert both.sample(2.5).yaw == pytest.approx(2.0 * np.pi + 1.5)
     assert both.jumps[3, 1] == pytest.approx(0.0)
+
+
+def test_a_reversed_path_passes_the_same_places_backwards():
+    path = minimum_snap([[0, 0, 1], [1, 0, 1], [1, 1, 2]], [0, 1.1, 2.7])
+    back = path.reversed()
+    for t in (0.0, 0.4, 1.6, 2.0, 2.7):
+        there = path.sample(path.duration - t)
+        np.testing.assert_allclose(back.sample(t).p, there.p, atol=1e-9)
+        np.testing.assert_allclose(back.sample(t).v, -there.v, atol=1e-9)
+    np.testing.assert_allclose(
+        back.reversed().coefficients, path.coefficients, atol=1e-8
+    )

@@ -1,0 +1,145 @@
+"""Requests of operators for the firmware of a drone, at rest or in flight: parameters, trajectories on board."""
+
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from crazychoir.errors import ConfigError, LinkFailed, Refused
+from crazychoir.planning.piecewise import Piecewise
+from crazychoir.planning.upload import fit_upload
+from crazychoir.radio.drone.current_link import CurrentLink
+from crazychoir.radio.drone.drone_setup import DroneSetup
+from crazychoir.radio.link.firmware import ConnectedFirmware
+from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.types import XYZ
+
+TRAJECTORY_SLOT = 0
+"""Slot of the trajectory on board; a new upload replaces the last one."""
+FOLLOWED_DISTANCE = 0.1
+"""m: a line that ends nearer to the trajectory than this is flown by the trajectory on board."""
+MOST_PARAMETERS = 40
+"""Most parameters that are read at once."""
+FIRMWARE_VERBS = (
+    "firmware_get",
+    "firmware_set",
+    "trajectory_upload",
+    "trajectory_start",
+)
+"""Verbs of the requests."""
+Arguments = dict[str, Any]
+
+
+class OnBoardTrajectory:
+    """A trajectory that the planner on board flies by itself, while its agent follows it in time.
+
+    Lines that lead along the trajectory need no packet. A line to another place, or any other command, ends it.
+    """
+
+    def __init__(self, setup: DroneSetup) -> None:
+        self._clock = setup.clock
+        self._path: Piecewise | None = None
+        self._began_ns = 0
+
+    def begin(self, path: Piecewise) -> None:
+        """Note that the drone has begun to fly the path, in the world."""
+        self._path = path
+        self._began_ns = self._clock.now_ns()
+
+    def covers(self, command: object) -> bool:
+        """Return whether the drone flies this command by itself; otherwise the trajectory is over."""
+        path = self._path
+        if path is None:
+            return False
+        t = (self._clock.now_ns() - self._began_ns) / NS_PER_SECOND
+        if t < path.duration and isinstance(command, XYZ) and command.verb == "line":
+            at = path.sample(t + float(command.flat[4])).p
+            if np.linalg.norm(at - command.flat[0:3]) < FOLLOWED_DISTANCE:
+                return True
+        self._path = None
+        return False
+
+
+class FirmwareAccess:
+    """Carries out requests for the firmware of one drone.
+
+    on_board: is told when a trajectory on board begins
+    """
+
+    def __init__(
+        self, setup: DroneSetup, link: CurrentLink, on_board: OnBoardTrajectory
+    ) -> None:
+        self._on_board = on_board
+        self._setup = setup
+        self._link = link
+        methods = (self._get, self._set, self._upload, self._start)
+        self.requests: Mapping[str, Callable[[Arguments], Awaitable[Any]]] = dict(
+            zip(FIRMWARE_VERBS, methods, strict=True)
+        )
+        """Requests by verb."""
+
+    def _firmware(self) -> ConnectedFirmware:
+        if self._link.connection is None:
+            why = self._link.problem or self._link.why or "it is not connected"
+            raise Refused(f"drone {self._setup.drone}", why)
+        return ConnectedFirmware(self._link.connection)
+
+    def _refuse(self, error: LinkFailed | ConfigError) -> Refused:
+        return Refused(f"drone {self._setup.drone}", str(error))
+
+    async def _get(self, arguments: Arguments) -> dict[str, float]:
+        """Return the values of a parameter, or of all of a group."""
+        firmware = self._firmware()
+        try:
+            names = firmware.list_names(str(arguments["name"]))
+            return {name: await firmware.get(name) for name in names[:MOST_PARAMETERS]}
+        except LinkFailed as error:
+            raise self._refuse(error) from error
+
+    async def _set(self, arguments: Arguments) -> dict[str, float]:
+        """Set a parameter, and return the value that the firmware then has."""
+        firmware = self._firmware()
+        name = str(arguments["name"])
+        try:
+            await firmware.set(name, float(arguments["value"]))
+            return {name: await firmware.get(name)}
+        except LinkFailed as error:
+            raise self._refuse(error) from error
+        except (TypeError, ValueError):
+            raise Refused(
+                f"drone {self._setup.drone}",
+                f"parameter {name} = {arguments['value']!r}: a number is allowed",
+            ) from None
+
+    async def _upload(self, arguments: Arguments) -> str:
+        """Upload a trajectory into the memory of the drone."""
+        firmware = self._firmware()
+        if self._setup.kind != "xyz":
+            raise Refused(
+                f"drone {self._setup.drone}",
+                f'its sender is "{self._setup.kind}"; a trajectory on board needs "xyz"',
+            )
+        try:
+            path = Piecewise(arguments["coefficients"], arguments["durations"])
+            upload = fit_upload(path)
+            pieces = len(upload.pieces.durations)
+            await firmware.upload(upload.memory, TRAJECTORY_SLOT, pieces)
+        except (LinkFailed, ConfigError) as error:
+            raise self._refuse(error) from error
+        return f"{pieces} pieces, {len(upload.memory)} bytes"
+
+    async def _start(self, arguments: Arguments) -> str:
+        """Start the uploaded trajectory; `coefficients` and `durations` say how it is flown in the world."""
+        firmware = self._firmware()
+        path = Piecewise(arguments["coefficients"], arguments["durations"])
+        try:
+            await firmware.start(
+                TRAJECTORY_SLOT,
+                float(arguments["timescale"]),
+                bool(arguments["relative"]),
+                bool(arguments["reversed"]),
+            )
+        except LinkFailed as error:
+            raise self._refuse(error) from error
+        self._on_board.begin(path)
+        return "started"
