@@ -29,6 +29,7 @@ from crazychoir.cli.setup import (
     keys,
     push,
     radio,
+    radio_maintenance,
     rigid_bodies,
     router,
 )
@@ -102,6 +103,7 @@ COMMANDS_WITH_PARTS: dict[CommandGroup, dict[str, typer.Typer]] = {
 }
 """The commands of each group that have commands of their own."""
 
+radio_maintenance.add_commands(radio.app)
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 for group, commands in COMMANDS_BY_GROUP.items():
     for name, command in commands.items():

@@ -100,3 +100,19 @@ class SupervisorRequests(NamedTuple):
 
 
 SUPERVISOR_REQUESTS = SupervisorRequests()
+
+
+class PowerPackets(NamedTuple):
+    """Packets on the null channel of the link by which the chip of the radio switches a drone."""
+
+    mark: int = 0xFE
+    """First byte."""
+    all_off: int = 0x01
+    """Switches the whole drone off, as its button does."""
+    system_off: int = 0x02
+    """Switches the main processor and the decks off; the chip of the radio stays on."""
+    system_on: int = 0x03
+    """Switches the main processor and the decks on."""
+
+
+POWER_PACKETS = PowerPackets()

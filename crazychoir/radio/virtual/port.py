@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 
 from crazychoir.errors import CodecError, ConfigError
-from crazychoir.firmware.requests import LINK_CHANNELS
+from crazychoir.firmware.requests import LINK_CHANNELS, POWER_PACKETS
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet, parse_packet
 from crazychoir.radio.virtual.air import Air
 from crazychoir.radio.virtual.drone import VirtualCrazyflie
@@ -131,8 +131,25 @@ class DronePort:
         self.air.rise(partial(self._arrive, packet))
 
     def _arrive(self, packet: Packet) -> None:
+        is_null = packet[:2] == (CrtpPort.LINK, LINK_CHANNELS.null)
+        if is_null and packet.data[:1] == bytes([POWER_PACKETS.mark]):
+            self._switch(packet.data[1:2])
+            return
         for answer in self.drone.take(packet):
             self.say(answer)
+
+    def _switch(self, command: bytes) -> None:
+        """Switch the drone off for good, or restart it; the chip of its radio confirms.
+
+        A virtual drone starts at once when its main processor is switched off; switching it on then
+        changes nothing.
+        """
+        self.say(Packet(CrtpPort.LINK, LINK_CHANNELS.null))
+        if command == bytes([POWER_PACKETS.all_off]):
+            self.air.faults.off = True
+            self.drone.restart("switched off")
+        elif command == bytes([POWER_PACKETS.system_off]):
+            self.drone.restart("its main processor was switched off")
 
     def say(self, packet: Packet) -> None:
         """Send a packet to the client; until there is a client, it waits on board."""
