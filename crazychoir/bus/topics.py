@@ -151,6 +151,18 @@ class DroneTopics:
         8, "log", str, 0, NEVER_STALE, 256, MessageClass.BULK, impaired=False
     )
     """Log lines of the drone."""
+    console: Topic = Topic(
+        22,
+        "console",
+        str,
+        0,
+        NEVER_STALE,
+        256,
+        MessageClass.BULK,
+        impaired=False,
+        of_body=True,
+    )
+    """Lines of the console of the drone's firmware."""
     body: Topic = Topic(
         9,
         "body",

@@ -108,6 +108,7 @@ class SwarmModel:
             )
             self._read(DRONE_TOPICS.result, i, partial(self._hear_result, i))
             self._read(DRONE_TOPICS.log, i, partial(self._hear_log, i))
+            self._read(DRONE_TOPICS.console, i, partial(self._hear_log, i))
 
     def _read(
         self,

@@ -138,6 +138,7 @@ class FlightScore(Actor):
         for i in self.ids:
             self._listen(DRONE_TOPICS.status, i, partial(self._hear_status, i))
             self._listen(DRONE_TOPICS.log, i, self._hear_log)
+            self._listen(DRONE_TOPICS.console, i, self._hear_log)
 
     def _listen(
         self, topic: Topic, i: int, function: Callable[[Any, float], None]

@@ -21,6 +21,7 @@ from crazychoir.radio.drone.background_tasks import BackgroundTasks
 from crazychoir.radio.drone.camera_view import CameraView
 from crazychoir.radio.drone.command_gate import CommandGate
 from crazychoir.radio.drone.command_transmitter import CommandTransmitter
+from crazychoir.radio.drone.console_reader import ConsoleReader
 from crazychoir.radio.drone.current_link import CurrentLink
 from crazychoir.radio.drone.drone_setup import DroneSetup
 from crazychoir.radio.drone.landing_repeater import LandingRepeater
@@ -132,7 +133,7 @@ class RadioDrone(Actor):
                 self.setup.row.uri,
                 self._shared.contents,
                 self.link.lose,
-                self.landing.hear,
+                ConsoleReader(self.setup, self.landing.hear).hear,
                 self._shared.turn,
             )
             insists = asyncio.get_running_loop().create_task(
