@@ -61,6 +61,27 @@ class Truth:
         """Seconds since the start."""
         return self.tick * self.dt
 
+    def replace_body(self, i: int, platform: Platform) -> None:
+        """Give drone i another true body; its state stays."""
+        row = self.row[i]
+        self.platforms = (
+            *self.platforms[:row],
+            platform,
+            *self.platforms[row + 1 :],
+        )
+        self._allowed[row] = platform.max_landing_speed
+
+    def put(self, i: int, p: Vec, yaw: float) -> None:
+        """Put drone i at rest and level at p (3,) m, world, with this heading in rad.
+
+        Its counters begin again.
+        """
+        row = self.row[i]
+        self.states[row] = _make_resting_states(p[None, :], np.array([yaw]))[0]
+        self._resting[row] = 0.0 if self.states[row, 2] > 0.0 else 1.0
+        self.impact[row] = 0.0
+        self.limited[row] = 0.0
+
     def see(self, i: int, pose: Pose) -> None:
         """Do nothing: these drones run no estimator."""
 

@@ -375,6 +375,25 @@ class CFIntegrator(Truth):
         """Stop the motors of drone i for good."""
         self._alive[self.row[i]] = 0.0
 
+    def replace_body(self, i: int, platform: Platform) -> None:
+        """Give drone i another true body; its state stays."""
+        super().replace_body(i, platform)
+        self._flat[self.row[i]] = platform.flat
+
+    def put(self, i: int, p: Vec, yaw: float) -> None:
+        """Put drone i at rest at p (3,) m, world, as at the start of the world.
+
+        In the air it hovers until its next command. Commands on their way are forgotten.
+        yaw: rad: heading
+        """
+        super().put(i, p, yaw)
+        row = self.row[i]
+        is_in_air = self.states[row, 2] > 0.0
+        hover = (self.platforms[row].weight if is_in_air else 0.0, 0.0, 0.0, 0.0)
+        self._alive[row] = 1.0
+        for commands in (self.commands, self._actual, *self._sent):
+            commands[row] = hover
+
     @property
     def variables(self) -> Iterable[str]:
         """Names of the log variables of the drones."""

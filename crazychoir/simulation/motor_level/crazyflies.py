@@ -30,6 +30,7 @@ from crazychoir.simulation.motor_level.imu import VIBRATING_IMU, measure_block
 from crazychoir.simulation.motor_level.motor_control import (
     MOTOR_CONTROLS,
     CrazyflieLink,
+    stream_motion_setpoints,
     stream_thrust_setpoints,
 )
 from crazychoir.simulation.motor_level.motors import (
@@ -302,6 +303,16 @@ class CrazyflieWorld(MotorWorld):
         """
         stream_thrust_setpoints(self._firmware, inputs, is_new, self._needs_arming)
 
+    def take_motions(self, inputs: Mat, is_new: Ints, are_places: bool) -> None:
+        """Pass new set-points of velocity or of position of all drones to their firmware.
+
+        inputs: (n, 4): velocity (3,) m/s, world, and yaw rate rad/s; or position (3,) m, world, and
+            heading rad
+        is_new: (n,): 1 for a drone with a new set-point
+        are_places: whether the inputs are positions
+        """
+        stream_motion_setpoints(self._firmware, inputs, is_new, float(are_places))
+
     @property
     def failed(self) -> dict[int, str]:
         """Drones with a number that is not finite, and where it was found; they cannot recover."""
@@ -324,6 +335,34 @@ class CrazyflieWorld(MotorWorld):
         super().restore(i)
         row = self.row[i]
         self._firmware["vbat"][row] = self._firmware["vbat_low"][row] = self.vbat(i)
+
+    def replace_drone(self, i: int, other: "CrazyflieWorld", j: int) -> None:
+        """Put drone i into the condition of drone j of another world.
+
+        Body, rotors, battery, sensors and firmware are those of drone j.
+        """
+        row = self.row[i]
+        source = other.row[j]
+        super().replace_body(i, other.platforms[source])
+        block, lane = divmod(row, LANE_COUNT)
+        block_there, lane_there = divmod(source, LANE_COUNT)
+        lanes_there = other._blocks[block_there, lane_there::LANE_COUNT]
+        self._blocks[block, lane::LANE_COUNT] = lanes_there
+        for name in ("states", "commands", "limited", "impact", "_resting", "_lift"):
+            getattr(self, name)[row] = getattr(other, name)[source]
+        self._firmware[row] = other._firmware[source]
+        self._needs_arming[row] = other._needs_arming[source]
+        self._pose_intervals[row] = other._pose_intervals[source]
+        self._pose_counts[row] = other._pose_counts[source]
+
+    def put(self, i: int, p: Vec, yaw: float) -> None:
+        """Put drone i at rest at p (3,) m, world; its motors and its firmware run on.
+
+        The estimate on board begins there.
+        yaw: rad: heading
+        """
+        super().put(i, p, yaw)
+        self.onboard[i].place(p, yaw)
 
     @property
     def variables(self) -> Iterable[str]:

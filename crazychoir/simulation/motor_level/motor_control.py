@@ -1,16 +1,19 @@
 """Commands as set-points of the firmware: one class a kind of command, with the paper's names."""
 
+import math
 from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
 
 from crazychoir.firmware.results import FIRMWARE_RESULTS
-from crazychoir.numerics.kernels import kernel, matrix, wholes
+from crazychoir.numerics.kernels import kernel, matrix, real, wholes
 from crazychoir.numerics.math3d import STANDARD_GRAVITY, flat_attitude, quaternion
 from crazychoir.simulation.onboard.commander import (
     SETPOINT_PRIORITIES,
+    position,
     stream_thrust_setpoint,
+    velocity,
 )
 from crazychoir.simulation.onboard.onboard import Onboard
 from crazychoir.simulation.onboard.planner import (
@@ -51,6 +54,31 @@ def stream_thrust_setpoints(
         if needs_arming[i] != 0 and fleet[i].armed == 0 and not is_idle:
             request_arming(fleet, i)
         stream_thrust_setpoint(fleet, i, u)
+
+
+@kernel(rows, matrix, wholes, real)
+def stream_motion_setpoints(
+    fleet: Fleet, inputs: Mat, is_new: Ints, are_places: float
+) -> None:
+    """Stream the new set-points of position or velocity of all drones.
+
+    A set-point with a number that is not finite is ignored.
+
+    inputs: (n, 4): velocity (3,) m/s, world, and yaw rate rad/s; or position (3,) m, world, and heading rad
+    is_new: (n,): 1 for a drone with a new set-point
+    are_places: above 0 if the inputs are positions
+    """
+    for i in range(inputs.shape[0]):
+        x = inputs[i, 0]
+        y = inputs[i, 1]
+        z = inputs[i, 2]
+        yaw = inputs[i, 3]
+        if is_new[i] == 0 or not math.isfinite(x + y + z + yaw):
+            continue
+        if are_places > 0.0:
+            position(fleet, i, x, y, z, math.degrees(yaw), SETPOINT_PRIORITIES.crtp)
+        else:
+            velocity(fleet, i, x, y, z, math.degrees(yaw), SETPOINT_PRIORITIES.crtp)
 
 
 class MotorCtrl(ABC):

@@ -247,7 +247,7 @@ class MotorWorld(Truth):
         self._heads = np.zeros(_count_buckets(n), np.int64)
         self._chain = np.zeros((n, 3), np.int64)
         self._downwash = conditions.has_downwash and n > 1
-        self._wind = conditions.wind
+        self._conditions = conditions
         sensors = conditions.imu
         self._options = np.array([*self._normal, *sensors.deviations(MOTOR_TIME_STEP)])
         self._sensors, self._gusts = (
@@ -369,6 +369,18 @@ class MotorWorld(Truth):
         self.impact[row] = 0.0
         self._lift[row] = self._of(i, TOTAL_LIFT)
 
+    def replace_body(self, i: int, platform: Platform) -> None:
+        """Give drone i another true body; its state, rotors and battery stay as they are."""
+        super().replace_body(i, platform)
+        row = self.row[i]
+        block, lane = divmod(row, LANE_COUNT)
+        constants = compute_constants(
+            platform, MOTOR_TIME_STEP, self._conditions.has_ground_effect
+        )
+        for name, value in constants.items():
+            self._blocks[block, name + lane] = value
+        self._radius[row] = platform.radius
+
     def vbat(self, i: int) -> float:
         """Return the voltage of drone i's battery under load, in V; 0 when it is empty."""
         return self._of(i, BATTERY_VOLTAGE)
@@ -402,14 +414,9 @@ class MotorWorld(Truth):
 
     def step(self) -> None:
         """Advance every drone by dt; the air is computed once, at the beginning of the step."""
-        if self._wind is not None:
-            wind = np.array(
-                [
-                    *self._wind.mean,
-                    self._wind.gust,
-                    math.exp(-self.dt / self._wind.time),
-                ]
-            )
+        air = self._conditions.wind
+        if air is not None:
+            wind = np.array([*air.mean, air.gust, math.exp(-self.dt / air.time)])
             _advance_wind(self._blocks, self._gusts, self.tick, wind)
         if self._downwash:
             compute_downwash(
