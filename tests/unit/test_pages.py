@@ -21,6 +21,7 @@ ROOM_PAGES = sorted((REPOSITORY / "crazychoir").glob("**/README.md"))
 PAGES = [
     REPOSITORY / "CONTRIBUTING.md",
     *ROOM_PAGES,
+    REPOSITORY / "crazychoir" / "api" / "ENVIRONMENTS.md",
     *sorted((REPOSITORY / "deploy").glob("*.md")),
 ]
 FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
