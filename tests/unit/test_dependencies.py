@@ -18,6 +18,7 @@ ROOMS = {
         "crazychoir/recording/video.py",
     ),
     "mocap": ("crazychoir/mocap/reader.py",),
+    "gym": ("crazychoir/api/env",),
     "ros2": ("crazychoir/recording/ros/rmw_zenoh.py",),
     "tables": ("crazychoir/api/",),
     "bench": ("crazychoir/bench/", "crazychoir/cli/compute/bench"),
@@ -134,7 +135,7 @@ def groups(repository):
 
 
 def test_the_tests_have_the_extras_that_they_need(groups):
-    assert "crazychoir[dashboard,mocap,mujoco,ros2,tables]" in groups["test"]
+    assert "crazychoir[dashboard,gym,mocap,mujoco,ros2,tables]" in groups["test"]
     assert "crazychoir[bench]" in groups["bench"]
 
 
