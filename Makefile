@@ -32,7 +32,7 @@ help:  ## this list
 compile: $(VENV)/.installed  ## compile all laws, once: a minute or two
 	@$(BIN)/crazychoir compile
 
-demo: compile  ## six drones in six processes plan and fly pickups and deliveries; 20 % of messages lost
+demo: $(VENV)/.installed  ## six drones in six processes plan and fly pickups and deliveries; 20 % of messages lost
 	@mkdir -p out
 	$(BIN)/crazychoir run pickup_delivery --processes 6 --loss 0.2 --seed 1 --picture out/routes.png
 

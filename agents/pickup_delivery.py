@@ -20,6 +20,7 @@ swarm = hooks.swarm
 check = hooks.check
 report = hooks.report
 picture = hooks.picture
+compile = hooks.compile
 
 
 def guidance(i: int, config: SwarmConfig) -> PDVRPGuidance:

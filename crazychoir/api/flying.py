@@ -9,7 +9,7 @@ from typing import Any
 
 from crazychoir.api.flight_request import refuse_operator
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.guidance.mission import Mission
+from crazychoir.guidance.mission import Mission, has_hook
 from crazychoir.launch.flight import (
     NO_DISPLAY,
     FlightDisplay,
@@ -100,6 +100,8 @@ def fly_in_real_time(
     announce: called with the swarm file of this flight before it begins
     """
     server.prepare()
+    if KERNEL_QUEUE.is_first_run() and has_hook(flight.mission, "compile"):
+        flight.mission.compile(config)  # while the server compiles
     held = (
         hold_isolated_swarm(config, processes, keeps_port=True)
         if flight.is_isolated

@@ -72,6 +72,13 @@ class Mission(Protocol):
         """Draw the plan or the flight into the file `path`."""
         ...
 
+    def compile(self, config: SwarmConfig) -> None:
+        """Compile laws of the mission's own that are compiled at their first use.
+
+        Optional. `crazychoir run` calls it in the first run on a machine, beside the processes that compile the rest.
+        """
+        ...
+
 
 def load_mission(name: str) -> Mission:
     """Return a mission with its hooks guarded.

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.errors import ConfigError, CrazyChoirError, error_text
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import WATCHED_BY_RUNTIME, CFGuidance
 from crazychoir.guidance.user_hook import (
@@ -197,6 +197,16 @@ def _guard_picture(
         log.error("no picture: %s", error)
 
 
+def _guard_compile(hook: Hook, config: SwarmConfig) -> None:
+    """Let the mission compile its laws, however long that takes."""
+    try:
+        hook.function(config)
+    except CrazyChoirError:
+        raise
+    except Exception as error:
+        raise hook.wrong(error_text(error)) from error
+
+
 MISSION_HOOKS: dict[str, tuple[tuple[str, ...], str, Callable[..., Any]]] = {
     "guidance": (
         ("i", "config"),
@@ -221,5 +231,6 @@ MISSION_HOOKS: dict[str, tuple[tuple[str, ...], str, Callable[..., Any]]] = {
         "nothing: a PNG written to path",
         _guard_picture,
     ),
+    "compile": (("config",), "nothing", _guard_compile),
 }
 """Arguments, allowed result in words, and guard of each hook."""

@@ -9,6 +9,8 @@ import contextlib
 from collections.abc import Callable, Iterator
 from typing import Any
 
+from crazychoir.numerics.compile_helpers import LawName, LawNames, share_laws
+
 
 class NotKept(Exception):
     """A law that may only be loaded is not kept on disk."""
@@ -37,14 +39,40 @@ class KernelQueue:
     def compile(self, report: Callable[[], object] = lambda: None) -> None:
         """Compile all waiting laws. Laws imported from now on are compiled at once.
 
+        Other processes help if many laws are not kept on disk.
+
         report: called after each law
         """
         self._is_waiting = False
+        self.load_kept(report)
         laws = self._laws
         self._laws = []
+        with share_laws([law.name for law in laws]) as next_law:
+            while (number := next_law()) is not None:
+                laws[number].compile()
+                report()
         for law in laws:
-            law.compile()
-            report()
+            if not law.is_compiled:  # a helper has kept it on disk
+                law.compile()
+                report()
+
+    def compile_shared(
+        self, next_law: Callable[[], int | None], names: LawNames
+    ) -> None:
+        """Compile waiting laws as a helper of another process; the laws are kept on disk.
+
+        next_law: returns the number of a law to compile, None at the end
+        names: the laws that have these numbers
+        """
+        self._is_waiting = False
+        laws = {law.name: law for law in self._laws}
+        while (number := next_law()) is not None:
+            if names[number] in laws:
+                laws[names[number]].compile()
+
+    def is_first_run(self) -> bool:
+        """Return whether the first waiting law is not kept on disk: then most laws are not."""
+        return bool(self._laws) and not self._laws[0].load_kept()
 
     def load_kept(self, report: Callable[[], object] = lambda: None) -> None:
         """Load the waiting laws that are compiled and kept on disk; the others go on waiting.
@@ -79,7 +107,9 @@ class _WaitingKernel:
         self._dispatcher = dispatcher
         self._types = types
         self._compile = dispatcher.compile
-        self._is_compiled = False
+        self.is_compiled = False
+        law = dispatcher.py_func
+        self.name: LawName = (law.__module__, law.__qualname__)
 
     def compile(self) -> Any:
         """Compile the law if it is not compiled, and refuse to compile it for other types.
@@ -87,8 +117,8 @@ class _WaitingKernel:
         Return its entry point.
         """
         dispatcher = self._dispatcher
-        if not self._is_compiled:
-            self._is_compiled = True
+        if not self.is_compiled:
+            self.is_compiled = True
             dispatcher.compile = self._compile
             dispatcher.compile(self._types)
             dispatcher.disable_compile()
@@ -100,9 +130,9 @@ class _WaitingKernel:
             with self._dispatcher._cache.reading_only():
                 self.compile()
         except NotKept:
-            self._is_compiled = False
+            self.is_compiled = False
             self.wait()
-        return self._is_compiled
+        return self.is_compiled
 
     def wait(self) -> None:
         """Compile the law at its first call, or when another compiled law needs it.

@@ -9,6 +9,7 @@ from crazychoir.config.reader import read_table
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.delivery.pickup_setup import PickupOptions, require_ready
 from crazychoir.guidance.mission_report import Results
+from crazychoir.routing.distributed.plain_loop import compile_routing_kernels
 from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.picture import draw_routes
@@ -71,6 +72,11 @@ class PickupHooks:
                 },
             }
         )
+
+    def compile(self, config: SwarmConfig) -> None:
+        """Compile the route search that the instance needs."""
+        problem = self.instance(config).local(0)
+        compile_routing_kernels(problem, self.given(config).method)
 
     def check(self, config: SwarmConfig, force: bool = False) -> list[str]:
         """Check that the drones stand where the instance says, and can fly all that it asks for.
