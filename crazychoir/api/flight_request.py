@@ -13,7 +13,12 @@ import msgspec
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.guidance import CFGuidance
-from crazychoir.guidance.mission import Mission, has_hook, load_mission
+from crazychoir.guidance.mission import (
+    Mission,
+    has_hook,
+    load_mission,
+    resolve_example,
+)
 from crazychoir.guidance.mission_hooks import MissionFile
 
 DEFAULT_DRONE_COUNT = 4
@@ -42,6 +47,11 @@ class FlightRequest:
     """Seed; None: that of the swarm."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """Values of mission options by name, and of other keys of the swarm by "table.key"."""
+
+    def __post_init__(self) -> None:
+        """Let the name of an example stand for its swarm file."""
+        if isinstance(self.what, str):
+            object.__setattr__(self, "what", resolve_example(self.what))
 
     @property
     def has_swarm_file(self) -> bool:

@@ -24,9 +24,11 @@ from crazychoir.cli.recordings import (
 from crazychoir.cli.setup import (
     compile_laws,
     doctor,
+    examples,
     identify,
     import_swarm,
     keys,
+    new,
     push,
     radio,
     radio_maintenance,
@@ -55,6 +57,8 @@ ORDER_COMMANDS = {
 COMMANDS_BY_GROUP: dict[CommandGroup, dict[str, Callable[..., None]]] = {
     CommandGroup.fly: {
         "run": run.run,
+        "new": new.new,
+        "examples": examples.examples,
         "sweep": sweep.sweep,
         "missions": missions.missions,
     },

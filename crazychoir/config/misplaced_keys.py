@@ -17,6 +17,8 @@ FILE_LABEL = ""
 """Label of the file itself."""
 ROW_NUMBER = re.compile(r"\[\d+\]")
 """Number of a table in a list of tables."""
+SURE_MATCH = 0.8
+"""Likeness from which another key may be meant, although the key exists elsewhere."""
 MOST_TABLES = 5
 """Most tables that are named for one key."""
 OWN_KEYS = "mission_options"
@@ -37,6 +39,7 @@ def advise_on_unknown_key(
     tables = {} if file is None else _tables_of_keys(file)
     near = difflib.get_close_matches(name, key_names(kind), n=1)
     if name in tables:
+        near = difflib.get_close_matches(name, near, n=1, cutoff=SURE_MATCH)
         alternative = (
             f" Or did you mean {near[0]}, a key of this table?" if near else ""
         )

@@ -12,6 +12,7 @@ from typing import Any, Protocol, cast
 
 from crazychoir.config.checks import refuse_conflicts
 from crazychoir.config.digest import compute_digest, compute_key_digests
+from crazychoir.config.examples import find_example, list_examples, suggest_name
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Hung, error_text, refuse_exit
 from crazychoir.guidance.guidance import CFGuidance
@@ -145,10 +146,24 @@ def list_mission_names() -> list[str]:
     return sorted(module.name for module in pkgutil.iter_modules(package.__path__))
 
 
+def resolve_example(what: str) -> str:
+    """Return the swarm file of the example that `what` names; else `what`, unchanged.
+
+    A mission of the same name comes first.
+    """
+    example = None if what in list_mission_names() else find_example(what)
+    return what if example is None else str(example)
+
+
 def _import_from_package(name: str) -> ModuleType:
     if name not in list_mission_names():
-        do = "Or give the path of a .py file."
-        raise ConfigError("mission", name, ", ".join(list_mission_names()), do)
+        names = list_mission_names()
+        files = [
+            file for file in (f"{name}.toml", f"{name}.py") if Path(file).is_file()
+        ]
+        near = suggest_name(name, files or [*names, *list_examples()])
+        do = f"{near} Or give the path of a .py file.".strip()
+        raise ConfigError("mission", name, ", ".join(names), do)
     return importlib.import_module(f"{MISSION_PACKAGE}.{name}")
 
 

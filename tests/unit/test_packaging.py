@@ -26,6 +26,8 @@ MADE = {"__pycache__", "build", "dist", "keys", "out", ".venv", ".git", ".hypoth
 """Folders that programs make in a clone; those of caches end in _cache or .egg-info."""
 NOT_COPIED = shutil.ignore_patterns(*MADE, "*_cache", "*.egg-info")
 LINK = "crazychoir/agents"
+EXAMPLES = "crazychoir/examples"
+LINKS = {LINK: "../agents", EXAMPLES: "../deploy"}
 ADDED = {"PKG-INFO", "setup.cfg"}
 """Files that setuptools adds to a source distribution, beside its egg-info."""
 pytestmark = pytest.mark.skipif(
@@ -36,10 +38,12 @@ PROBE = """
 import importlib.resources, importlib.util, json, pkgutil, sys
 import crazychoir, crazychoir.agents
 data = importlib.resources.files("crazychoir.agents") / "data"
+examples = importlib.resources.files("crazychoir") / "examples"
 print(json.dumps({
     "where": crazychoir.__file__,
     "missions": sorted(module.name for module in pkgutil.iter_modules(crazychoir.agents.__path__)),
     "data": sorted(file.name for file in data.iterdir()),
+    "examples": sorted(file.name for file in examples.iterdir() if file.suffix == ".toml"),
     "top": [name for name in ("agents", "tests", "deploy") if importlib.util.find_spec(name)],
 }))
 """
@@ -167,6 +171,9 @@ def check(found: dict[str, object], clone: Path) -> None:
     assert found["data"] == sorted(
         path.name for path in (clone / "agents" / "data").iterdir()
     )
+    assert found["examples"] == sorted(
+        path.name for path in (clone / "deploy").glob("*.toml")
+    )
     assert found["top"] == []
 
 
@@ -200,16 +207,17 @@ def test_a_wheel_has_one_package_its_types_and_its_licence(wheel):
     assert "crazychoir-0.1.0.dist-info/licenses/LICENSE" in names
 
 
-def test_the_link_to_the_missions_is_relative(repository):
+@pytest.mark.parametrize("link", LINKS)
+def test_the_links_to_missions_and_examples_are_relative(repository, link):
     """An absolute link would lead from one clone into another."""
-    assert (repository / "crazychoir" / "agents").readlink() == Path("../agents")
+    assert (repository / link).readlink() == Path(LINKS[link])
 
 
 def test_the_source_distribution_has_all_files_of_the_repository(clone, source_files):
     files = {
         name
         for name in source_files
-        if not name.startswith((f"{LINK}/", "crazychoir.egg-info/"))
+        if not name.startswith((f"{LINK}/", f"{EXAMPLES}/", "crazychoir.egg-info/"))
     }
     assert files - ADDED == files_of(clone)
     assert {
@@ -239,6 +247,12 @@ def test_the_copy_of_the_missions_in_the_source_distribution_is_complete(
         path.relative_to(agents).as_posix()
         for path in (*agents.glob("*.py"), *agents.glob("data/*"))
     }
+
+
+def test_the_source_distribution_has_a_copy_of_the_examples(clone, source_files):
+    names = {name for name in source_files if name.startswith(f"{EXAMPLES}/")}
+    files = (clone / "deploy").glob("*.toml")
+    assert names == {f"{EXAMPLES}/{file.name}" for file in files}
 
 
 def test_no_private_key_is_released(clone, source_files):

@@ -36,7 +36,7 @@ def run(
     what: Annotated[
         str,
         typer.Argument(
-            help="Mission in agents/, mission file (.py) or swarm file (.toml)."
+            help="Mission, example, mission file (.py) or swarm file (.toml)."
         ),
     ],
     drones: Annotated[
@@ -102,8 +102,9 @@ def run(
                 with_operator,
             )
             from crazychoir.cli.shared.option_names import naming_options
-            from crazychoir.guidance.mission import check_before_flight
+            from crazychoir.guidance.mission import check_before_flight, resolve_example
 
+        what = resolve_example(what)
         outputs = CommandOutputs()
         given = {
             "--fast": fast,

@@ -37,7 +37,7 @@ def list_kept(folder):
     return {file.name.split("-")[0] for file in folder.rglob("*.nbi")}
 
 
-def test_helper_compiles_the_laws_that_nobody_takes(many_laws, monkeypatch):
+def test_helper_compiles_the_laws_that_are_left(many_laws, monkeypatch):
     have_processors(monkeypatch, 2)
     with share_laws(NAMES) as next_law:
         began = time.monotonic()
