@@ -21,6 +21,18 @@ PAGES: dict[str, tuple[str, str, tuple[str, ...]]] = {
         "All exceptions that crazychoir raises.",
         ("crazychoir.errors:class",),
     ),
+    "api/python.md": (
+        "Scripts and notebooks",
+        "Flights, sweeps and simulations from Python. "
+        "[The Python interface](../crazychoir/api/README.md) shows how to use them.",
+        (
+            "crazychoir.api.flights:fly,read,Flight",
+            "crazychoir.api.sweeps:sweep",
+            "crazychoir.api.table:Table",
+            "crazychoir.api.simulating:simulate,Simulation",
+            "crazychoir.api.solving:solve",
+        ),
+    ),
     "api/guidance.md": (
         "Guidance",
         "Base classes of missions, and what mission files may define. "

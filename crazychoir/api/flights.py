@@ -128,7 +128,7 @@ class Flight:
 
     def __repr__(self) -> str:
         ended = "success" if self.success else "failed"
-        return f"<Flight of {self.figures['mission']}: {ended}>"
+        return f"<Flight of {Path(str(self.figures['mission'])).name}: {ended}>"
 
     def _repr_html_(self) -> str:
         """Return a short table for a notebook."""

@@ -9,12 +9,7 @@ import pytest
 from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError
 
-from crazychoir.config.swarm_config import default_swarm
-from crazychoir.guidance.mission import load_mission
-from crazychoir.launch.flight import fly_real
-from crazychoir.launch.fork_server import ForkServer
-from crazychoir.launch.network import isolate_swarm, write_swarm_file
-from crazychoir.launch.processes import SwarmLauncher
+from crazychoir.api import fly
 from crazychoir.optimization.algorithms.consensus import Consensus
 from crazychoir.optimization.rounds.mixing import team
 from crazychoir.solve.simulate import simulate
@@ -146,12 +141,12 @@ def test_a_flight_in_real_processes_works_inside_a_loop(tmp_path):
             return Rising()
         """)
     )
-    config = isolate_swarm(default_swarm(2).replace(mission=str(mission)), 1)
 
     async def cell():
-        with write_swarm_file(config) as path, ForkServer() as server:
-            launcher = SwarmLauncher(server, path)
-            return fly_real(launcher, config, load_mission(str(mission)))
+        return fly(mission, drones=2, fast=False, processes=1)
 
     flown = asyncio.run(cell())
-    assert (flown["success"], flown["reasons"]) == (True, {})
+    assert (flown.success, flown.reasons, flown.digest) == (True, {}, None)
+    for i in (0, 1):
+        highest = flown.track(i)["position"][:, 2].max()
+        assert highest == pytest.approx(0.3, abs=0.05)

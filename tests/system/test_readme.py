@@ -20,6 +20,7 @@ from crazychoir.optimization.problems.problems import CostCoupled
 
 pytestmark = pytest.mark.system
 AGENTS = "agents/README.md"
+API = "crazychoir/api/README.md"
 GUIDANCE = "crazychoir/guidance/README.md"
 OPTIMIZATION = "crazychoir/optimization/README.md"
 CATALOGUE = "crazychoir/optimization/CATALOGUE.md"
@@ -161,6 +162,41 @@ def test_the_algorithm_of_the_front_page_gives_the_same_without_loss(
     )
     assert calm["agents"] == lossy["agents"]
     assert calm["lost"] == 0 < lossy["lost"]
+
+
+@pytest.mark.parametrize(
+    ("file", "mark", "written"),
+    [
+        (FRONT_PAGE, "flights.py", ["flight.png", "settling.pdf"]),
+        (API, "fly.py", ["flight.mcap", "flight.png"]),
+        (API, "sweep.py", ["runs.csv", "runs.jsonl", "settling.pdf"]),
+        (API, "compute.py", ["consensus.png"]),
+    ],
+    ids=lambda value: value if isinstance(value, str) else "",
+)
+def test_the_programs_of_the_python_interface_run(
+    saved, monkeypatch, file, mark, written
+):
+    path = saved(file, mark)
+    monkeypatch.chdir(path.parent)
+    runpy.run_path(str(path))
+    files = {file.name for file in path.parent.iterdir()} - {mark}
+    assert sorted(files) == written
+
+
+def test_the_page_of_the_python_interface_names_what_there_is():
+    from crazychoir import api
+    from crazychoir.api.tracks import TRACK_DTYPE
+
+    fields = [row.split("`")[1] for row in rows(API, "field")]
+    assert fields == list(TRACK_DTYPE.names)
+    functions = {row.split("`")[1] for row in rows(API, "name")}
+    assert functions <= set(api.__all__)
+    for kind in (api.Flight, api.Table):
+        shown = "".join(rows(API, f"`{kind.__name__}`"))
+        public = {name for name in vars(kind) if not name.startswith("_")}
+        hidden = {name for name in public if f"`{name}" not in shown}
+        assert hidden <= {"data", "figures", "inputs"}
 
 
 def test_the_front_page_shows_the_contract_of_imports(repository):
