@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
@@ -20,7 +21,7 @@ from crazychoir.api.worker_pool import WorkerPool
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, CrazyChoirError, refuse_exit
 from crazychoir.files.private_folder import scratch_folder
-from crazychoir.guidance.mission import check_before_flight
+from crazychoir.guidance.mission import Mission, check_before_flight
 from crazychoir.launch.recording import (
     compute_file_digests,
     list_versions,
@@ -86,14 +87,19 @@ def sweep(
         do = "Save it as a file: each process imports the mission by itself. In a notebook, %%writefile does."
         raise ConfigError("mission", repr(mission), "a name or a file", do)
     grid = _build_grid(seeds, loss, options or {}, drones)
-    runs = plan_runs(str(mission), grid)
+    most = math.prod(len(values) for values in grid.values())
     with ExitStack() as stack:
+        # The processes import while this one plans.
+        folder = stack.enter_context(scratch_folder("crazychoir-sweep-"))
+        stack.enter_context(share_with_children(folder))
+        pool = stack.enter_context(WorkerPool(min(jobs or count_cores(), most)))
+        runs = plan_runs(str(mission), grid)
         kept = None
         if file is not None:
             kept = stack.enter_context(SweepFile(Path(file), [run.key for run in runs]))
         if watch is None:
             watch = stack.enter_context(open_progress())
-        rows = fly_runs(runs, jobs or count_cores(), kept, watch)
+        rows = fly_runs(runs, pool, kept, watch)
     return Table([run.build_row(rows[run.key]) for run in runs], list(grid))
 
 
@@ -115,22 +121,19 @@ def plan_runs(mission: str, grid: Mapping[str, Sequence[Any]]) -> list[SweepRun]
             planner.plan(dict(zip(grid, values, strict=True)))
             for values in product(*grid.values())
         ]
-    if planner.errors and all(run.config is None for run in runs):
-        raise planner.errors[0]
+        planner.require_flyable_run()
     return runs
 
 
 class _Planner:
-    """Chooses and checks the swarm of each run before the first run flies.
+    """Chooses the swarm of each run before the first run flies.
 
     mission: mission or swarm file
-
-    Attributes:
-    errors: why runs are refused
     """
 
     def __init__(self, mission: str) -> None:
-        self.errors: list[CrazyChoirError] = []
+        self._errors: list[CrazyChoirError] = []
+        self._chosen: list[tuple[SwarmConfig, Mission]] = []
         self._mission = mission
         self._versions = list_versions()
         self._modules: dict[str, str] | None = None
@@ -140,10 +143,24 @@ class _Planner:
         try:
             config, key = self._choose(dict(inputs))
         except CrazyChoirError as error:
-            self.errors.append(error)
+            self._errors.append(error)
             text = f"{type(error).__name__}: {error}"
             return SweepRun(inputs, None, _compute_digest([inputs, text]), text)
         return SweepRun(inputs, config, key)
+
+    def require_flyable_run(self) -> None:
+        """Raise the first error unless the mission's own check lets one of the runs fly.
+
+        Each process checks the other runs.
+        """
+        for config, mission in self._chosen:
+            try:
+                check_before_flight(mission, config)
+            except CrazyChoirError as error:
+                self._errors.append(error)
+            else:
+                return
+        raise self._errors[0]
 
     def _choose(self, options: dict[str, Any]) -> tuple[SwarmConfig, str]:
         """Return the swarm and the digest of all that the row of a run depends on."""
@@ -151,7 +168,7 @@ class _Planner:
         request = FlightRequest(self._mission, drones, None, loss, seed, options)
         config, mission = request.choose()
         require_flyable(config, config.ids, is_virtual=True)
-        check_before_flight(mission, config)
+        self._chosen.append((config, mission))
         if self._modules is None:
             self._modules = compute_file_digests(config, mission)
         files = compute_file_digests(config, None)
@@ -161,12 +178,12 @@ class _Planner:
 
 
 def fly_runs(
-    runs: Sequence[SweepRun], jobs: int, kept: SweepFile | None, watch: Watch
+    runs: Sequence[SweepRun], pool: WorkerPool, kept: SweepFile | None, watch: Watch
 ) -> dict[str, Row]:
     """Return the row of each run, by its key.
 
     runs: the runs
-    jobs: number of processes
+    pool: the processes
     kept: file with the rows of runs that have ended before; None for no file
     watch: called after each run
     """
@@ -186,15 +203,9 @@ def fly_runs(
     todo = [(run.key, run.config) for run in left.values() if run.config is not None]
     if todo:
         # Compiled here if need be, not once in each process.
-        KERNEL_QUEUE.load_kept()
         KERNEL_QUEUE.compile()
-        with (
-            scratch_folder("crazychoir-sweep-") as folder,
-            share_with_children(folder),
-            WorkerPool(min(jobs, len(todo))) as pool,
-        ):
-            for key, row in pool.fly(todo):
-                take(key, row)
+        for key, row in pool.fly(todo):
+            take(key, row)
     if kept is not None:
         kept.finish()
     return rows

@@ -73,25 +73,31 @@ class WorkerPool:
                     break
 
     def _work(self) -> None:
-        """Give runs to one process, until there are none."""
-        process: subprocess.Popen[str] | None = None
+        """Start a process, and give it runs until there are none."""
         with tempfile.TemporaryFile() as words:
+            process: subprocess.Popen[str] | None = self._begin(words)
             while (run := self._runs.get()) is not None and not self._is_ending:
                 key, config = run
                 if process is None:
-                    process = _start(words)
-                    self._processes.append(process)
-                    if self._is_ending:  # the ending thread has not seen this process
-                        break
+                    process = self._begin(words)
+                begin = words.seek(0, os.SEEK_END)
                 row = _ask(process, config)
                 if row is None:
-                    row = _describe_end(process, words)
+                    row = _describe_end(process, words, begin)
                     _close(process)
                     process = None
                 self._rows.put((key, row))
         if process is not None:
             _kill(process)
             _close(process)
+
+    def _begin(self, words: IO[bytes]) -> "subprocess.Popen[str]":
+        """Start a process, which ends if the pool ends meanwhile."""
+        process = _start(words)
+        self._processes.append(process)
+        if self._is_ending:  # the ending thread has not seen this process
+            _kill(process)
+        return process
 
 
 def _start(words: IO[bytes]) -> "subprocess.Popen[str]":
@@ -123,11 +129,17 @@ def _ask(process: "subprocess.Popen[str]", config: SwarmConfig) -> Row | None:
     return row
 
 
-def _describe_end(process: "subprocess.Popen[str]", words: IO[bytes]) -> Row:
-    """Return the row of a run during which its worker has ended."""
+def _describe_end(
+    process: "subprocess.Popen[str]", words: IO[bytes], begin: int
+) -> Row:
+    """Return the row of a run during which its worker has ended.
+
+    words: file with the worker's output
+    begin: where the output of this run begins
+    """
     code = process.wait()
-    words.seek(0, os.SEEK_END)
-    words.seek(max(0, words.tell() - LONGEST_WORDS))
+    end = words.seek(0, os.SEEK_END)
+    words.seek(max(begin, end - LONGEST_WORDS))
     lines = words.read().decode(errors="replace").strip().splitlines()
     told = f": {lines[-1]}" if lines else ""
     return build_first_figures(False, f"its process has ended with code {code}{told}")

@@ -150,8 +150,8 @@ def _parse_counts(text: str) -> list[int]:
 def _exit_interrupted(kept: Path | None, as_json: bool) -> None:
     """Say how the sweep goes on, and exit with 130."""
     text = "Ctrl-C: the sweep ends here; name --csv or --file, and the next one can go on from there"
-    if kept is not None:
-        lines = kept.read_text(encoding="utf-8").count("\n") if kept.is_file() else 0
+    if kept is not None and kept.is_file():
+        lines = kept.read_text(encoding="utf-8").count("\n")
         text = f"Ctrl-C: {lines} runs are kept in {kept}: the same command goes on from there"
     if as_json:
         write_json({"success": False, "error": text, "kind": "KeyboardInterrupt"})
@@ -166,7 +166,7 @@ def _build_summary_table(summary: "Table", figures: list[str]) -> ShownTable:
     heads = [", ".join(f"{name} {row[name]}" for name in varied) for row in groups]
     more = len(summary) - len(groups)
     table = ShownTable(
-        "median [quartiles]",
+        "median (quartiles)",
         *(head or "all runs" for head in heads),
         box=box.SIMPLE_HEAD,
         padding=(0, 1, 0, 0),
@@ -182,7 +182,7 @@ def _build_summary_table(summary: "Table", figures: list[str]) -> ShownTable:
             [row[f"{name}_{end}"] for end in ("median", "q1", "q3")] for row in groups
         ]
         texts = [[_format_figure(value) for value in cell] for cell in cells]
-        table.add_row(name, *(f"{m} [{a}, {b}]" if m else "" for m, a, b in texts))
+        table.add_row(name, *(f"{m} ({a}–{b})" if m else "" for m, a, b in texts))
     return table
 
 

@@ -64,7 +64,7 @@ def test_medians_and_failures_are_printed(asked):
     text = run("figure").stdout
     assert "loss 0.0" in text
     assert "2 of 3" in text
-    assert "2 [1.5, 2.5]" in text
+    assert "2 (1.5–2.5)" in text
     assert "2 failed: late" in text
 
 
