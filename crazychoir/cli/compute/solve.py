@@ -91,7 +91,7 @@ def solve(
     """
     set_up_logging()
     from crazychoir.api.solving import choose_solve_options
-    from crazychoir.launch.option_names import naming_options
+    from crazychoir.cli.shared.option_names import naming_options
     from crazychoir.routing.instance.instance import Instance
     from crazychoir.solve.solving import solve_here
     from crazychoir.solve.team import (

@@ -101,7 +101,7 @@ def run(
                 drones_to_start,
                 with_operator,
             )
-            from crazychoir.launch.option_names import naming_options
+            from crazychoir.cli.shared.option_names import naming_options
             from crazychoir.guidance.mission import check_before_flight, resolve_example
 
         what = resolve_example(what)

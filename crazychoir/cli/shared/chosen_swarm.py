@@ -9,12 +9,12 @@ from crazychoir.api.flight_request import (
     refuse_operator,
     replace_swarm_values,
 )
+from crazychoir.cli.shared.option_names import naming_options
 from crazychoir.config.addresses import Addresses
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.config.swarm_config import SwarmConfig, find_swarm
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission import has_hook, load_mission
-from crazychoir.launch.option_names import naming_options
 from crazychoir.team.graph import describe_ids
 
 

@@ -1,7 +1,7 @@
 import pytest
 
+from crazychoir.cli.shared.option_names import naming_options
 from crazychoir.errors import ConfigError
-from crazychoir.launch.option_names import naming_options
 
 
 def test_an_error_of_a_value_names_its_option():
