@@ -410,3 +410,35 @@ def rotor_speed(rotor: Rotor, f: float) -> float:
     """
     b, c = rotor.thrust
     return 0.0 if f <= 0.0 else (-b + math.sqrt(b * b + 4.0 * c * f)) / (2.0 * c)
+
+
+def find_equivalent_platform(platform: Platform, factor: float) -> Platform:
+    """Return a platform that obeys the thrust u exactly and moves like a drone that makes k u of it.
+
+        m v' = -m g e3 + k u R e3 - R A R^T v      has the solutions of m/k, A/k, u
+        J w' = k l S u + M v - D w, about x and y  has the solutions of J/k, M/k, D/k, u
+
+    The drag of rotors that turn as fast stays, and so does all about z. The power of a hover is that of the thrust
+    m g/k, to the power of 1.5.
+
+    platform: figures of the drone without its factor
+    factor: k, true thrust over the thrust that is commanded
+    """
+    k = factor
+    drag_x, drag_y, drag_z = platform.drag
+    inertia_x, inertia_y, inertia_z = platform.inertia
+    moment = platform.effects.speed_moment
+    damping = platform.effects.rate_damping
+    battery = platform.battery
+    return replace(
+        platform,
+        mass=platform.mass / k,
+        inertia=(inertia_x / k, inertia_y / k, inertia_z),
+        drag=(drag_x / k, drag_y / k, drag_z / k),
+        battery=replace(battery, hover_power=battery.hover_power * k**-1.5),
+        effects=replace(
+            platform.effects,
+            speed_moment=moment and (moment[0] / k, moment[1] / k),
+            rate_damping=damping and (damping[0] / k, damping[1] / k, damping[2]),
+        ),
+    )

@@ -6,7 +6,14 @@ import numpy as np
 
 from crazychoir.config.tables import CalibrationTable, DroneTable
 from crazychoir.errors import ConfigError
-from crazychoir.platforms import Battery, BodyEffects, Firmware, Platform, find_platform
+from crazychoir.platforms import (
+    Battery,
+    BodyEffects,
+    Firmware,
+    Platform,
+    find_equivalent_platform,
+    find_platform,
+)
 
 CONTROL_RESERVE = 1.3
 """Thrust over that of hover that a battery must allow at take-off."""
@@ -50,29 +57,21 @@ def find_thrust_factor(drone: DroneTable) -> float:
 def find_known_platform(drone: DroneTable) -> Platform:
     """Return the platform that the controller of a drone knows.
 
-        m v' = -m g e3 + k u R e3 - A v   is   m/k v' = -m/k g e3 + u R e3 - A/k v
-
-    With the thrust factor k, a controller for m/k and A/k gives the right thrusts u. Two lags in series are taken for
-    one of their sum. A weak thrust or battery raises the voltage below which the drone does not take off.
+    It makes the thrusts that its controller commands, see `platforms.find_equivalent_platform`. Two lags in series are
+    taken for one of their sum. A weak thrust or battery raises the voltage below which the drone does not take off.
 
     Raises ConfigError if the drone could not take off with a full battery.
     """
     row = build_body(drone)
-    k = find_thrust_factor(drone)
-    x, y, z = row.drag
-    battery = row.battery
-    known = replace(
-        row,
-        mass=row.mass / k,
-        rotor=replace(row.rotor, lag=row.rotor.lag + (row.effects.delay or 0.0)),
-        drag=(x / k, y / k, z / k),
-        battery=replace(battery, hover_power=battery.hover_power * k**-1.5),
-    )
+    lag = row.rotor.lag + (row.effects.delay or 0.0)
+    one_lag = replace(row, rotor=replace(row.rotor, lag=lag))
+    known = find_equivalent_platform(one_lag, find_thrust_factor(drone))
     if drone.battery_warning is not None:
-        battery = replace(battery, begin=drone.battery_warning)
-        known = replace(known, battery=replace(known.battery, begin=battery.begin))
+        warned = replace(known.battery, begin=drone.battery_warning)
+        known = replace(known, battery=warned)
     if drone.calibration == CalibrationTable():
         return known
+    battery = known.battery
     begin = max(battery.begin, compute_least_voltage(known))
     if begin > battery.full - FULL_MARGIN:
         raise ConfigError(
@@ -81,7 +80,7 @@ def find_known_platform(drone: DroneTable) -> Platform:
             f"at most {battery.full - FULL_MARGIN:.2f} V, what a full battery has",
             "Calibrate again, or give the drone another battery.",
         )
-    return replace(known, battery=replace(known.battery, begin=begin))
+    return replace(known, battery=replace(battery, begin=begin))
 
 
 def find_firmware(drone: DroneTable) -> Firmware:

@@ -20,7 +20,7 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import DroneTable, SwarmTable
 from crazychoir.errors import ConfigError, CrazyChoirError, error_text
 from crazychoir.platforms import find_platform
-from crazychoir.simulation.common.mismatch import find_equivalent_platform
+from crazychoir.simulation.common.mismatch import find_lightweight_platform
 from crazychoir.simulation.common.world import World, WorldSetup
 from crazychoir.simulation.lightweight.integrator import CFIntegrator, InputLags
 
@@ -66,7 +66,7 @@ BUILT_IN_ENGINES = {
 def lightweight(setup: WorldSetup) -> World:
     """Make a world with the paper's integrator."""
     homes = np.array(setup.homes, dtype=float)
-    bodies = setup.build_bodies(find_equivalent_platform)
+    bodies = setup.build_bodies(find_lightweight_platform)
     return CFIntegrator(
         setup.ids,
         homes,

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from crazychoir.platforms import Platform
+from crazychoir.platforms import Platform, find_equivalent_platform
 
 
 def apply_model_errors(
@@ -43,23 +43,13 @@ def apply_model_errors(
     )
 
 
-def find_equivalent_platform(
+def find_lightweight_platform(
     platform: Platform, mass_error: float, thrust_error: float
 ) -> Platform:
-    """Return a platform that obeys the thrust u exactly and moves like the true drone.
-
-    The true drone makes the thrust (1 + e_f) u.
-
-        m v' = -m g e3 + (1 + e_f) u R e3 - R A R^T v
-        has the solutions of   m/(1 + e_f), A/(1 + e_f), u
+    """Return the true platform of a drone without rotors: its model makes the thrust that is commanded.
 
     mass_error: e_m, relative error of the mass in m = (1 + e_m) m_0, above -1
     thrust_error: e_f, relative error of the thrust, above -1
     """
-    f = 1.0 + thrust_error
-    ax, ay, az = platform.drag
-    return replace(
-        platform,
-        mass=(1.0 + mass_error) * platform.mass / f,
-        drag=(ax / f, ay / f, az / f),
-    )
+    heavier = replace(platform, mass=(1.0 + mass_error) * platform.mass)
+    return find_equivalent_platform(heavier, 1.0 + thrust_error)

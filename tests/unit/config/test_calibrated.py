@@ -88,3 +88,16 @@ def test_the_controller_takes_two_lags_for_one_of_their_sum():
 def test_wrong_keys_and_values_are_refused(keys, found):
     with pytest.raises(ConfigError, match=found):
         make_drone(**keys)
+
+
+def test_a_thrust_factor_weakens_the_torques_about_roll_and_pitch_too():
+    """J w' = k l S u + M v - D w: with J/k, M/k and D/k it turns by u alone; rotors turn as fast, so yaw stays."""
+    k = 0.8
+    damping = [5e-5, 6e-5, 7e-5]
+    known = find_known_platform(
+        make_drone(thrust_factor=k, speed_moment=[5e-4, 6e-4], rate_damping=damping)
+    )
+    jx, jy, jz = CRAZYFLIE_21.inertia
+    np.testing.assert_allclose(known.inertia, (jx / k, jy / k, jz))
+    np.testing.assert_allclose(known.effects.speed_moment, (5e-4 / k, 6e-4 / k))
+    np.testing.assert_allclose(known.effects.rate_damping, (5e-5 / k, 6e-5 / k, 7e-5))

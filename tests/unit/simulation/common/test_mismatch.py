@@ -18,7 +18,7 @@ from crazychoir.platforms import (
 from crazychoir.simulation import engines
 from crazychoir.simulation.common.mismatch import (
     apply_model_errors,
-    find_equivalent_platform,
+    find_lightweight_platform,
 )
 from crazychoir.simulation.engines import make_worlds
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
@@ -67,11 +67,11 @@ def falls(platform):
 
 def test_a_lightweight_drone_without_thrust_falls_by_its_mass_and_drag_alone():
     assert falls(
-        find_equivalent_platform(PAPER_PLATFORM, MASS, THRUST)
+        find_lightweight_platform(PAPER_PLATFORM, MASS, THRUST)
     ) == pytest.approx(
-        falls(find_equivalent_platform(PAPER_PLATFORM, MASS, 0.0)), rel=1e-12
+        falls(find_lightweight_platform(PAPER_PLATFORM, MASS, 0.0)), rel=1e-12
     )
-    assert falls(find_equivalent_platform(PAPER_PLATFORM, MASS, 0.0)) != pytest.approx(
+    assert falls(find_lightweight_platform(PAPER_PLATFORM, MASS, 0.0)) != pytest.approx(
         falls(PAPER_PLATFORM), rel=1e-3
     )
 
