@@ -9,7 +9,11 @@ from crazychoir.agent.drone import Drone
 from crazychoir.bus.network.hello import PACKAGE_VERSION
 from crazychoir.bus.port import Bus, Port
 from crazychoir.bus.topics import DRONE_TOPICS
-from crazychoir.config.calibrated import find_firmware, find_known_platform
+from crazychoir.config.calibrated import (
+    find_controlled_platform,
+    find_firmware,
+    find_known_platform,
+)
 from crazychoir.config.checks import WORLD_URIS, limit_area
 from crazychoir.config.drone_room import fence_of
 from crazychoir.config.link_loss import TILT_TIMES, describe_crowding, fence_inset
@@ -285,7 +289,7 @@ def _choose_controls(config: SwarmConfig, i: int, row: DroneRow) -> Controls:
     choice = config.control_of(i)
     return make_controls(
         choice,
-        find_known_platform(drone),
+        find_controlled_platform(drone, config.motors),
         kind,
         plant.rate_lag,
         plant.command_delay,

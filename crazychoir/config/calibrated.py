@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from crazychoir.config.tables import CalibrationTable, DroneTable
+from crazychoir.config.checks import WORLD_URIS
+from crazychoir.config.radio_checks import has_radio
+from crazychoir.config.tables import CalibrationTable, DroneTable, MotorsTable
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import (
     Battery,
@@ -21,6 +23,8 @@ FULL_MARGIN = 0.05
 """V: what a full battery has lost when its drone is ready to take off."""
 LARGEST_VOLTAGE = 5.0
 """V: largest voltage that is searched for a thrust."""
+MOTOR_LEVEL_WORLDS = (WORLD_URIS.motor_level, WORLD_URIS.mujoco)
+"""Worlds with the bodies of [motors]."""
 
 
 def build_body(drone: DroneTable) -> Platform:
@@ -89,6 +93,23 @@ def find_firmware(drone: DroneTable) -> Firmware:
     if drone.battery_critical is None:
         return firmware
     return replace(firmware, low=drone.battery_critical)
+
+
+def find_controlled_platform(drone: DroneTable, motors: MotorsTable) -> Platform:
+    """Return the platform for which the controllers of a drone are made.
+
+    Where its moment of speed is not known, it is that of a typical drone, if the drone is real or simulated at the
+    motor level.
+
+    motors: [motors], with the moment of typical drones
+    """
+    known = find_known_platform(drone)
+    if drone.uri not in MOTOR_LEVEL_WORLDS and not has_radio(drone):
+        return known
+    moment = motors.imperfections * motors.speed_moment
+    x, y, _ = known.inertia
+    typical = BodyEffects(speed_moment=(moment * x, moment * y))
+    return replace(known, effects=known.effects.filled(typical))
 
 
 def compute_least_voltage(platform: Platform) -> float:

@@ -725,7 +725,10 @@ class MotorsTable(SwarmTable, frozen=True, kw_only=True):
     imperfections: Factor = 1.0
     """Factor on all keys below but worn_battery: 1 for a typical drone, 0 for a perfect one."""
     speed_moment: SpeedMoment = 34.0
-    """rad/s2 per m/s: angular acceleration that speed makes, see simulation/README.md."""
+    """rad/s2 per m/s: angular acceleration that speed makes, see simulation/README.md.
+
+    Controllers cancel it, for real drones too, unless [drones.calibration] says another one.
+    """
     rate_damping: Damping = 3.0
     """1/s: damping of the roll and pitch rates."""
     imbalance: Imbalance = 0.1

@@ -13,6 +13,7 @@ from crazychoir.platforms import PAPER_PLATFORM, Platform
 from crazychoir.types import State, Vec
 
 FIRMWARE_ATTITUDE_GAIN = 6.0  # 1/s, kp of the firmware's roll and pitch control
+FIRMWARE_ATTITUDE_INTEGRAL = 3.0  # 1/s2, ki of the same
 LARGEST_ANGLE = 1.0  # rad, of a roll or pitch that is asked for
 
 

@@ -114,6 +114,20 @@ class Controls:
         if isinstance(self.tracker, HierarchicalController):
             self.tracker.pos_strategy.gains = gains
             self.tracker.attitude_strategy.gains = gains
+        self.oppose_moment()
+
+    def oppose_moment(self) -> None:
+        """Let the controllers cancel the moment of speed, as early as the gains say that the drone is late.
+
+        The lightweight plant has none.
+        """
+        if self.plant == "lightweight":
+            return
+        for controller in (self.tracker, self.follower):
+            if isinstance(controller, HierarchicalController):
+                controller.feed_forward.know_moment(
+                    self.platform, self.gains.thrust_delay
+                )
 
 
 def make_controls(
@@ -178,7 +192,9 @@ def make_controls(
             AccelerationTraj(),
             rows=rows["follower"],
         )
-    return Controls(platform, plant, tracker, follower, trim, gains, rows=rows)
+    controls = Controls(platform, plant, tracker, follower, trim, gains, rows=rows)
+    controls.oppose_moment()
+    return controls
 
 
 def _make_firmware_tracker(

@@ -7,8 +7,10 @@ import numpy as np
 from crazychoir.control.attitude import (
     AngleAttitudeCtrl,
     AttitudeControl,
+    AttitudeKind,
     GeometryAttitudeCtrl,
 )
+from crazychoir.control.feed_forward import RateFeedForward
 from crazychoir.control.handlers import (
     AccelerationTraj,
     FullStateTraj,
@@ -230,6 +232,8 @@ class HierarchicalController(CrazyflieController):
         self._attitude_strategy = attitude_strategy
         super().__init__(command_sender, traj_handler, rows)
         self._desired: Vec = self.rows["desired"][0]
+        self.feed_forward = RateFeedForward(self.rows["feed_forward"])
+        """Rates that are asked for beside those of the position strategy."""
         self.position_rate = position_rate
 
     @property
@@ -284,6 +288,12 @@ class HierarchicalController(CrazyflieController):
             desired = self._pos_strategy.desired(state, reference, now)
         if desired is None:
             return None
+        kind = (
+            AttitudeKind.ANGLES
+            if isinstance(self._attitude_strategy, AngleAttitudeCtrl)
+            else AttitudeKind.RATES
+        )
+        desired = self.feed_forward.lead(kind, state, desired, now)
         u = self._attitude_strategy.command(state, desired)
         self.rows["thrust"] = u[0]
         return u

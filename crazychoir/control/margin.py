@@ -69,38 +69,43 @@ def make_lag_loop(lag: float) -> Loop:
     return np.array([1.0]), np.array([lag, 1.0])
 
 
+def compute_rate_authority(platform: Platform, axis: int) -> float:
+    """Return b: the angular acceleration in rad/s2 that a rate control's output of 1 makes about this axis.
+
+    It is what remains once the rotors have followed. The output is in the firmware's units over deg/s, so that b times
+    a gain of its rate control is in 1/s. The reaction torque is the slope of the torque curve at hover.
+
+    platform: of the drone
+    axis: 0, 1, 2 for roll, pitch, yaw
+    """
+    newton = platform.firmware.thrust_max / 65535.0 * math.degrees(1.0)
+    if axis < 2:  # half of the command goes to each side
+        return 2.0 * platform.arm * newton / platform.inertia[axis]
+    rotor = platform.rotor
+    r = rotor_speed(rotor, platform.weight / 4.0)
+    slope = (rotor.torque[0] + 2.0 * rotor.torque[1] * r) / (
+        rotor.thrust[0] + 2.0 * rotor.thrust[1] * r
+    )
+    return 4.0 * slope * newton / platform.inertia[2]
+
+
 def make_rate_loop(platform: Platform, axis: int, worse: float = 1.0) -> Loop:
     """Return W(s) of the rate loop on board.
 
         W = b (kp s + ki) / (lag s^3 + (1 + b kd) s^2 + b kp s + b ki)
 
-    b is the angular acceleration in rad/s2 that a command of 1 makes about this axis once the
-    rotors have followed. kp, ki and kd are those of the firmware's rate controller, P on the error,
-    D on the rate. The reaction torque is the slope of the torque curve at hover.
+    b is of `compute_rate_authority`. kp, ki and kd are those of the firmware's rate controller, P on the error, D on
+    the rate.
 
     platform: of the drone
     axis: 0, 1, 2 for roll, pitch, yaw
     worse: factor on the lag of the rotors
     """
-    rotor = platform.rotor
     firmware = platform.firmware
-    newton = firmware.thrust_max / 65535.0 * math.degrees(1.0)
-    if axis == 2:
-        r = rotor_speed(rotor, platform.weight / 4.0)
-        slope = (rotor.torque[0] + 2.0 * rotor.torque[1] * r) / (
-            rotor.thrust[0] + 2.0 * rotor.thrust[1] * r
-        )
-        b, (kp, ki, kd) = (
-            4.0 * slope * newton / platform.inertia[2],
-            firmware.yaw_rate_pid,
-        )
-    else:  # half of the command goes to each side
-        b, (kp, ki, kd) = (
-            2.0 * platform.arm * newton / platform.inertia[axis],
-            firmware.rate_pid,
-        )
+    kp, ki, kd = firmware.yaw_rate_pid if axis == 2 else firmware.rate_pid
+    b = compute_rate_authority(platform, axis)
     return np.array([b * kp, b * ki]), np.array(
-        [worse * rotor.lag, 1.0 + b * kd, b * kp, b * ki]
+        [worse * platform.rotor.lag, 1.0 + b * kd, b * kp, b * ki]
     )
 
 

@@ -12,6 +12,7 @@ import numba
 import numpy as np
 
 from crazychoir.control.attitude import ATTITUDE_ROW, compute_input
+from crazychoir.control.feed_forward import FEED_FORWARD_ROW, lead_rates
 from crazychoir.control.position import (
     FLATNESS_LAYOUT,
     POSITION_ROW,
@@ -68,6 +69,7 @@ CONTROLLER_ROW = np.dtype(
     [
         ("kind", np.int64),  # CompiledControllerKind
         ("position", POSITION_ROW),
+        ("feed_forward", FEED_FORWARD_ROW),
         ("attitude", ATTITUDE_ROW),
         ("velocity", VELOCITY_ROW),
         ("position_rate", np.float64),  # Hz, of the position control; 0: in each tick
@@ -182,9 +184,12 @@ def _apply_laws(
         desired = position.out[: FLATNESS_LAYOUT.desired_size]
         if controller.position_rate > 0.0:
             keep_desired(controller, desired, now)
-        compute_input(controller.attitude, x, desired, u)
     else:
-        compute_input(controller.attitude, x, controller.desired[:], u)
+        desired = controller.desired[:]
+    lead = controller.feed_forward
+    attitude = controller.attitude
+    lead_rates(lead, attitude.kind, x, desired, now)
+    compute_input(attitude, x, lead.desired[:], u)
     controller.thrust = u[0]
     return True
 

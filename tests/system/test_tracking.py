@@ -48,6 +48,12 @@ def test_the_whole_stack_at_1_m_s():
     assert rmse_mm(fly_whole_stack("eight-1")) <= 8.0
 
 
+@pytest.mark.parametrize(("name", "limit"), [("eight-1", 16.0), ("eight-2", 19.0)])
+def test_a_typical_drone_flies_as_if_its_speed_made_no_moment(name, limit):
+    """Its slow forces alone make 14 and 15 mm; without the feed-forward 31 and 68 mm are left."""
+    assert rmse_mm(fly_whole_stack(name, imperfections=1.0)) <= limit
+
+
 def test_a_part_of_a_flight_is_no_flight(monkeypatch):
     monkeypatch.setattr(bench_tracking, "is_counted", lambda t: 8.0 <= t <= 18.0)
     assert fly_whole_stack("eight-1") is None
@@ -101,6 +107,6 @@ def test_a_drawn_word_is_flown_within_its_limits(tmp_path):
     assert result["acceleration_m_s2"] <= config.flight.acceleration_limit
     assert result["deviation_mm"] < 15.0
     flown = recorded_flight(read(path, FLIGHT_TOPICS)).figures()["drones"][0]
-    assert flown["tracking_rmse_m"] < 0.025, "18 mm; without imperfections 3 mm"
-    assert flown["fastest_m_s"] < 1.05 * config.flight.speed_limit
+    assert flown["tracking_rmse_m"] < 0.020, "15 mm; without imperfections 3 mm"
+    assert flown["fastest_m_s"] < 1.06 * config.flight.speed_limit
     assert result["drawing_s"] > 20.0

@@ -1,16 +1,18 @@
 """A calibration gives a drone its true body, and its controller what it knows of it."""
 
+import msgspec
 import numpy as np
 import pytest
 
 from crazychoir.config.calibrated import (
     build_body,
     compute_least_voltage,
+    find_controlled_platform,
     find_known_platform,
     find_thrust_factor,
 )
 from crazychoir.config.reader import read_table
-from crazychoir.config.tables import CalibrationTable, DroneTable
+from crazychoir.config.tables import CalibrationTable, DroneTable, MotorsTable
 from crazychoir.errors import ConfigError
 from crazychoir.platforms import CRAZYFLIE_21
 
@@ -101,3 +103,34 @@ def test_a_thrust_factor_weakens_the_torques_about_roll_and_pitch_too():
     np.testing.assert_allclose(known.inertia, (jx / k, jy / k, jz))
     np.testing.assert_allclose(known.effects.speed_moment, (5e-4 / k, 6e-4 / k))
     np.testing.assert_allclose(known.effects.rate_damping, (5e-5 / k, 6e-5 / k, 7e-5))
+
+
+@pytest.mark.parametrize(
+    ("uri", "motors", "moment"),
+    [
+        ("sim://motors", {}, 34.0),
+        ("sim://motors", {"imperfections": 0.5, "speed_moment": 20.0}, 10.0),
+        ("sim://motors", {"imperfections": 0.0}, 0.0),
+        ("mujoco://", {"speed_moment": 0.0}, 0.0),
+        ("radio://0/80/2M/E7E7E7E703", {}, 34.0),
+        ("sim://", {}, None),
+        ("marbles://", {}, None),
+    ],
+)
+def test_controllers_are_made_for_the_moment_of_a_typical_drone(uri, motors, moment):
+    drone = msgspec.structs.replace(make_drone(thrust_factor=0.9), uri=uri)
+    platform = find_controlled_platform(drone, MotorsTable(**motors))
+    about_x, about_y = platform.effects.speed_moment or (None, None)
+    if moment is None:
+        assert (about_x, about_y) == (None, None)
+        return
+    x, y, _ = platform.inertia
+    assert (about_x / x, about_y / y) == pytest.approx((moment, moment))
+
+
+def test_controllers_are_made_for_the_moment_that_was_found():
+    drone = msgspec.structs.replace(
+        make_drone(speed_moment=[5e-4, 6e-4]), uri="sim://motors"
+    )
+    platform = find_controlled_platform(drone, MotorsTable())
+    assert platform.effects.speed_moment == (5e-4, 6e-4)

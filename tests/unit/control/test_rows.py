@@ -1,5 +1,7 @@
 """The records of controllers: the control stage flies them as the same controllers in Python do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -21,9 +23,10 @@ from crazychoir.control.trim import Trim
 from crazychoir.control.velocity import VelocityCtrlStrategy
 from crazychoir.flight.batch import DRONE_ROW, Course, FlightControllerKind
 from crazychoir.flight.stages import control_drones
-from crazychoir.platforms import CRAZYFLIE_21
+from crazychoir.platforms import CRAZYFLIE_21, BodyEffects
 from crazychoir.types import Acceleration, FullState, State, Velocity
 
+PLATFORM = replace(CRAZYFLIE_21, effects=BodyEffects(speed_moment=(6e-4, 7e-4)))
 HERE = State.at((0.0, 0.0, 1.0))
 HOVER = FullState.at((0.0, 0.0, 1.0))
 TICKS = 150
@@ -40,18 +43,20 @@ class Drone:
         gains = make(sender, rate).gains
         self.trim = Trim()
         self.tracker = HierarchicalController(
-            FlatnessPositionCtrl(gains, CRAZYFLIE_21, self.trim),
-            attitude(gains, CRAZYFLIE_21),
+            FlatnessPositionCtrl(gains, PLATFORM, self.trim),
+            attitude(gains, PLATFORM),
             FPQRSender(),
             FullStateTraj(),
             rate,
         )
         self.follower = HierarchicalController(
-            FlatnessAccelerationCtrl(FORMATION_GAINS, CRAZYFLIE_21, self.trim),
-            attitude(FORMATION_GAINS, CRAZYFLIE_21),
+            FlatnessAccelerationCtrl(FORMATION_GAINS, PLATFORM, self.trim),
+            attitude(FORMATION_GAINS, PLATFORM),
             FPQRSender(),
             AccelerationTraj(),
         )
+        for controller in (self.tracker, self.follower):
+            controller.feed_forward.know_moment(PLATFORM, gains.thrust_delay)
 
     def command(self, state, reference, now):
         """Return the input and the acceleration of the controller that flies the reference."""
@@ -103,7 +108,7 @@ class Crowd:
 def make(sender="fpqr", rate=0.0, rows=None) -> Controls:
     return make_controls(
         ControlTable(sender=sender, position_rate=rate),
-        CRAZYFLIE_21,
+        PLATFORM,
         "motors",
         rows=rows,
     )
