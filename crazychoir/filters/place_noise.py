@@ -16,8 +16,8 @@ class PlaceNoise(NamedTuple):
     """m, least standard deviation per axis: a marker body of Vicon in flight."""
     most: float = 0.002
     """m, greatest standard deviation per axis."""
-    memory: int = 200
-    """Number of measurements over which the variance is averaged."""
+    memory: float = 1.0
+    """s of measurements over which the variance is averaged, at any rate of the poses."""
     most_surprise: float = 9.0
     """Greatest ratio of one measurement to the mean; a wrong pose that is accepted counts no more."""
     uneven_share: float = 0.1
@@ -36,8 +36,8 @@ def measure_place_noise(row: FilterRow, h: float) -> None:
         r = mean of |D p_k|^2 / (3 * 70),   D p_k = p_k - 4 p_k-1 + 6 p_k-2 - 4 p_k-3 + p_k-4
 
     A flight hardly changes the fourth difference: 0.016 mm at 50 Hz for a snap of 100 m/s4. The mean
-    begins with the first measurement, and then has the memory PLACE_NOISE.memory. Five poses in a
-    row must be evenly spaced in time, otherwise nothing is measured.
+    begins with the first measurement, and then has the memory PLACE_NOISE.memory: a measurement weighs h over
+    the time that is measured. Five poses in a row must be evenly spaced in time, otherwise nothing is measured.
 
     row: record of the filter
     h: s since the pose before
@@ -58,11 +58,12 @@ def measure_place_noise(row: FilterRow, h: float) -> None:
     row.even_poses += 1
     if row.even_poses <= DIFFERENCE_ORDER:
         return
-    row.noise_measurements = min(row.noise_measurements + 1, PLACE_NOISE.memory)
+    row.noise_time = min(row.noise_time + h, max(PLACE_NOISE.memory, h))
+    weight = h / row.noise_time
     mean = row.place_variance
     measured = min(squared / (3.0 * DIFFERENCE_GAIN), PLACE_NOISE.most_surprise * mean)
     row.place_variance = clip(
-        mean + (measured - mean) / row.noise_measurements,
+        mean + weight * (measured - mean),
         PLACE_NOISE.least**2,
         PLACE_NOISE.most**2,
     )

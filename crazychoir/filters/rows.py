@@ -60,7 +60,10 @@ FILTER_ROW = np.dtype(
         ("place_differences", np.float64, (DIFFERENCE_ORDER, 3)),  # m, of orders 0 to 3
         ("pose_interval", np.float64),  # s, between the last two poses
         ("even_poses", np.int64),  # newest poses at even intervals
-        ("noise_measurements", np.int64),  # of place_variance, at most its memory
+        (
+            "noise_time",
+            np.float64,
+        ),  # s of measurements in place_variance, at most its memory
         ("doubts", np.int64),  # poses beyond the gate since the last accepted pose
         ("call_time", np.float64),  # s, of the last tick
         ("newest_command", np.int64),  # index of the newest command of the history

@@ -39,6 +39,20 @@ def test_the_noise_of_the_cameras_is_measured_while_the_drone_flies_fast(rate, n
     assert measured_noise(f) == pytest.approx(noise, rel=0.2)
 
 
+@pytest.mark.parametrize("rate", [25, 50, 100, 240])
+def test_poses_without_noise_on_the_floor_are_forgotten_alike_at_all_rates(rate):
+    """Rounded poses of a drone that stands do not change; it needs seconds, not a number of poses, to learn more."""
+    f = KalmanFilter(period=1 / rate)
+    draw = np.random.default_rng(1)
+    for k in range(4 * rate):
+        f.update(Pose(np.array([0.0, 0, 0, 0, 0, 0, 1])), k / rate)
+    assert measured_noise(f) == pytest.approx(PLACE_NOISE.least)
+    for k in range(4 * rate, 7 * rate):
+        p = [0.0, 0.0, 0.5] + 5e-4 * draw.standard_normal(3)
+        f.update(Pose(np.array([*p, 0, 0, 0, 1])), k / rate)
+    assert measured_noise(f) == pytest.approx(5e-4, rel=0.3)
+
+
 def test_lost_poses_are_not_taken_for_noise():
     f = fly_circle(
         KalmanFilter(period=0.01), 100, 1e-4, is_lost=lambda k: k % 7 in (2, 3)
