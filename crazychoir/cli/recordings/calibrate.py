@@ -25,8 +25,6 @@ if TYPE_CHECKING:
         CalibrationFlight,
     )
 
-RECORDING_SUFFIX = ".mcap"
-"""Suffix of the recordings of `--record`."""
 TRIM_KEY = "trim"
 """Key of a calibration that corrects poses."""
 CALIBRATION_KEY = "calibration"
@@ -147,6 +145,7 @@ def _find_platform(name: str | None, swarm: Path | None, i: int | None) -> Any:
 
 def _read_flight(path: Path, drone: int | None) -> "CalibrationFlight":
     """Return one flight, ready to calibrate with; raise ConfigError if it cannot be used."""
+    from crazychoir.recording.recorded_flight import RECORDING_SUFFIX
     from crazychoir.simulation.identification.calibration.columns import read_columns
     from crazychoir.simulation.identification.calibration.flight import make_flight
 
@@ -209,6 +208,7 @@ def _merge_tables(
     """
     from crazychoir.config.reader import read_table
     from crazychoir.config.tables import CalibrationTable
+    from crazychoir.recording.recorded_flight import RECORDING_SUFFIX
 
     table = known | found
     if TRIM_KEY in known and any(path.suffix == RECORDING_SUFFIX for path in files):

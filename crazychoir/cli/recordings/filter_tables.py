@@ -35,17 +35,21 @@ def refuse_other_options(options: dict[str, Path | bool | None]) -> None:
         )
 
 
-def compare_filters(files: list[Path], platform: str, as_json: bool) -> None:
+def compare_filters(
+    files: list[Path], drone: int | None, platform: str, as_json: bool
+) -> None:
     """Score the filters on the poses of recorded flights, and print the errors.
+
+    drone: its id in recordings of several
 
     Raises ConfigError if a file is no flight, or the platform is not known.
     """
     from crazychoir.platforms import find_platform
+    from crazychoir.recording.recorded_flight import read_any_flight
     from crazychoir.simulation.identification.filter_scores import score_filters
-    from crazychoir.simulation.identification.flights import read_flight
 
     row = find_platform(platform, "--platform")
-    flights = [read_flight(path) for path in files]
+    flights = [read_any_flight(path, drone) for path in files]
     scored = score_filters(flights, row)
     names = [flight.name for flight in flights]
     if as_json:

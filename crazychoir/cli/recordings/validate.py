@@ -12,6 +12,7 @@ from crazychoir.cli.recordings.filter_tables import (
     refuse_other_options,
 )
 from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
     ANSWER_CONSOLE,
     ERROR_CONSOLE,
@@ -63,11 +64,17 @@ OPEN_LOOP_NOTE = (
 def validate(
     files: Annotated[
         list[Path],
-        typer.Argument(help="Recorded flights of one drone, .npz.", show_default=False),
+        typer.Argument(
+            help="Recorded flights of one drone: .mcap of --record, or .npz.",
+            show_default=False,
+        ),
     ],
     platform: Annotated[
         str, typer.Option(help="Platform of the simulated drone.")
     ] = "cf21",
+    drone: Annotated[
+        int | None, options.drone("Id of the drone in an .mcap of several.")
+    ] = None,
     fit: Annotated[
         bool,
         typer.Option(
@@ -101,17 +108,17 @@ def validate(
     if filters:
         try:
             refuse_other_options({"--fit": fit, "--picture": picture, "--paths": paths})
-            compare_filters(files, platform, as_json)
+            compare_filters(files, drone, platform, as_json)
         except CrazyChoirError as error:
             exit_with_error(error, as_json)
         return
     from crazychoir.platforms import find_platform
+    from crazychoir.recording.recorded_flight import read_any_flight
     from crazychoir.simulation.identification.closed_loop import fly_again
     from crazychoir.simulation.identification.closed_loop_scores import (
         find_medians,
         score_closed_loop,
     )
-    from crazychoir.simulation.identification.flights import read_flight
     from crazychoir.simulation.identification.models import compare_models
     from crazychoir.simulation.identification.picture import draw_errors, draw_paths
     from crazychoir.simulation.identification.windows import find_windows
@@ -121,14 +128,16 @@ def validate(
         row = find_platform(platform, "--platform")
         require_drawable(picture)
         require_drawable(paths)
-        read = [read_flight(path) for path in files]
+        read = [read_any_flight(path, drone) for path in files]
         windows = find_windows(read)
         scored = compare_models(windows, row, fit, ERROR_CONSOLE.print)
         flown = fly_again([one for one in read if one.setpoints is not None], row)
         loops = [score_closed_loop(one) for one in flown]
         if paths is not None and not flown:
             raise ConfigError(
-                "--paths", "no flight with set-points", "flights with sp and sp_yaw"
+                "--paths",
+                "no flight with set-points that its firmware followed",
+                "flights with sp and sp_yaw",
             )
     except CrazyChoirError as error:
         exit_with_error(error, as_json)
@@ -176,6 +185,7 @@ def _describe_flights(
             "windows": int(own.sum()),
             "share_in_gaps": flight.left_out,
             "marker_tilt_rad": list(flight.marker_tilt),
+            "notes": list(flight.notes),
             "position_mm_after_0.5_s": {
                 errors.model: float(errors.rmse(-1, number)[0])
                 for errors in scored
@@ -189,6 +199,9 @@ def _show(windows: "FlightWindows", scored: "list[OpenLoopErrors]", title: str) 
     ANSWER_CONSOLE.print(_build_model_table(scored, title))
     ANSWER_CONSOLE.print(_build_flight_table(windows, scored))
     ANSWER_CONSOLE.print(OPEN_LOOP_NOTE)
+    for flight in windows.flights:
+        for note in flight.notes:
+            ANSWER_CONSOLE.print(f"{flight.name}: {note}", highlight=False)
 
 
 def _build_model_table(scored: "list[OpenLoopErrors]", title: str) -> Table:

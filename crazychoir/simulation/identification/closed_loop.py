@@ -99,6 +99,8 @@ def fly_again(
                 "no set-points",
                 "sp and sp_yaw: what the firmware followed",
             )
+    if not flights:
+        return []
     bodies = [find_body(flight, platform) for flight in flights]
     starts = [_find_first_setpoint(flight) for flight in flights]
     world = _make_world(flights, starts, platform, bodies, seed)

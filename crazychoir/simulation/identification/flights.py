@@ -5,6 +5,7 @@ x forward, y left, z up.
 """
 
 import zipfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -104,6 +105,8 @@ class RealFlight:
     """(n, 4) m, rad: place above the floor and heading that the firmware followed; None if not recorded."""
     request: Vec | None = None
     """(n,): share of the greatest thrust that a PID controller asked for; None if not recorded."""
+    notes: tuple[str, ...] = ()
+    """What was found and done when it was read: gaps, clocks, what is missing."""
 
     @property
     def states(self) -> Mat:
@@ -122,18 +125,30 @@ def read_flight(path: Path) -> RealFlight:
 
     Raises ConfigError if the file is no flight of this form, or too short.
     """
-    columns = _read_columns(path)
+    return make_real_flight(path.stem, _read_columns(path))
+
+
+def make_real_flight(
+    name: str, columns: Mapping[str, Mat], notes: Sequence[str] = ()
+) -> RealFlight:
+    """Align the clocks of a flight, mark its gaps and correct the tilt of its markers.
+
+    name: of the recording
+    columns: arrays of FLIGHT_COLUMNS, and of SETPOINT_COLUMNS and REQUEST_COLUMNS if recorded
+    notes: what was found when they were read
+    Raises ConfigError if the drone does not fly long enough.
+    """
     t = columns["t"]
     floor = _find_floor(columns)
     p = columns["p"] - [0.0, 0.0, floor]
-    airborne = _find_airborne_rows(path, t, p[:, 2])
+    airborne = find_airborne_rows(name, p[:, 2])
     v = savgol_filter(
         p, FLIGHT_RULES.smoothing_rows, 3, deriv=1, delta=FLIGHT_TIME_STEP, axis=0
     )
     tilt = _estimate_marker_tilt(p, v, columns["q"], airborne)
     happened = np.maximum.accumulate(t - columns["delay"])
     return RealFlight(
-        name=path.stem,
+        name=name,
         t=t,
         p=p,
         v=v,
@@ -146,10 +161,13 @@ def read_flight(path: Path) -> RealFlight:
         marker_tilt=tilt,
         setpoints=_find_setpoints(columns, happened, floor),
         request=_find_request(columns, happened),
+        notes=tuple(notes),
     )
 
 
-def _find_setpoints(columns: dict[str, Mat], happened: Vec, floor: float) -> Mat | None:
+def _find_setpoints(
+    columns: Mapping[str, Mat], happened: Vec, floor: float
+) -> Mat | None:
     """Return the set-points (n, 4) above the floor on the clock of motion capture, None without."""
     if not columns.keys() >= SETPOINT_COLUMNS.keys():
         return None
@@ -157,7 +175,7 @@ def _find_setpoints(columns: dict[str, Mat], happened: Vec, floor: float) -> Mat
     return _align(columns["t"], happened, np.column_stack([places, columns["sp_yaw"]]))
 
 
-def _find_request(columns: dict[str, Mat], happened: Vec) -> Vec | None:
+def _find_request(columns: Mapping[str, Mat], happened: Vec) -> Vec | None:
     """Return the requested share of the greatest thrust (n,) on the clock of motion capture, None without."""
     if "cmd_thrust" not in columns:
         return None
@@ -207,14 +225,14 @@ def _read_columns(path: Path) -> dict[str, Mat]:
     return columns
 
 
-def _find_floor(columns: dict[str, Mat]) -> float:
+def _find_floor(columns: Mapping[str, Mat]) -> float:
     """Return the height in m of the markers before the motors turn for the first time."""
     turning = np.flatnonzero(columns["duty"].max(axis=1) > FLIGHT_RULES.still_duty)
     standing = columns["p"][: max(int(turning[0]), 1) if len(turning) else 1, 2]
     return float(np.median(standing))
 
 
-def _find_airborne_rows(path: Path, t: Vec, height: Vec) -> tuple[int, int]:
+def find_airborne_rows(name: str, height: Vec) -> tuple[int, int]:
     """Return the rows [a, b) from the first to the last above the flying height.
 
     Raises ConfigError if the drone does not fly long enough.
@@ -225,7 +243,7 @@ def _find_airborne_rows(path: Path, t: Vec, height: Vec) -> tuple[int, int]:
     seconds = (b - a) * FLIGHT_TIME_STEP
     if seconds < FLIGHT_RULES.shortest_flight:
         raise ConfigError(
-            str(path),
+            name,
             f"{seconds:.2f} s above {FLIGHT_RULES.flying_height} m",
             f"{FLIGHT_RULES.shortest_flight} s or more in the air",
         )

@@ -15,6 +15,7 @@ from crazychoir.simulation.identification.calibration.telemetry import (
 from crazychoir.simulation.identification.flights import (
     FLIGHT_RULES,
     FLIGHT_TIME_STEP,
+    find_airborne_rows,
 )
 from crazychoir.types import Bools, Mat, Vec
 
@@ -73,12 +74,12 @@ def make_flight(name: str, columns: Mapping[str, Mat]) -> CalibrationFlight:
     turning = np.flatnonzero(duty.max(axis=1) > FLIGHT_RULES.still_duty)
     first = int(turning[0]) if len(turning) else 0
     height = columns["p"][:, 2] - np.median(columns["p"][: max(first, 1), 2])
-    airborne = _find_airborne(name, height)
+    airborne = find_airborne_rows(name, height)
     notes: list[str] = []
     is_known = ~find_interpolated(columns["gyro"])
     if "gap" in columns:
         is_known &= columns["gap"] <= FLIGHT_RULES.longest_gap
-    delay = _find_delay(columns, is_known, airborne, notes)
+    delay = find_delay(columns, is_known, airborne, notes)
     onboard = _align_columns(columns, t - delay)
     is_known = np.interp(t, np.maximum.accumulate(t - delay), is_known) > 0.99
     usable = _leave_out(is_known) & (height > LEAST_HEIGHT)
@@ -116,25 +117,19 @@ def make_flight(name: str, columns: Mapping[str, Mat]) -> CalibrationFlight:
     )
 
 
-def _find_airborne(name: str, height: Vec) -> tuple[int, int]:
-    flying = np.flatnonzero(height > FLIGHT_RULES.flying_height)
-    rows = int(flying[-1]) + 1 - int(flying[0]) if len(flying) else 0
-    if rows * FLIGHT_TIME_STEP < FLIGHT_RULES.shortest_flight:
-        raise ConfigError(
-            name,
-            f"{rows * FLIGHT_TIME_STEP:.1f} s above {FLIGHT_RULES.flying_height:g} m",
-            f"{FLIGHT_RULES.shortest_flight:g} s or more in the air",
-        )
-    return int(flying[0]), int(flying[-1]) + 1
-
-
-def _find_delay(
+def find_delay(
     columns: Mapping[str, Mat],
     is_known: Bools,
     airborne: tuple[int, int],
     notes: list[str],
 ) -> Vec:
-    """Return the delay (n,) in s of the drone's clock, as recorded or found, and note it."""
+    """Return the delay (n,) in s of the drone's clock, as recorded or found, and note it.
+
+    columns: t, q and gyro, and delay if it is known
+    is_known: (n,): rows outside gaps
+    airborne: rows [a, b) in the air
+    notes: receives what was found
+    """
     t = columns["t"]
     if "delay" in columns:
         return columns["delay"]
