@@ -16,7 +16,7 @@ from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.control.robots import find_sender
 from crazychoir.errors import Refused, error_text
-from crazychoir.mocap.simulated import CameraErrors, SimulatedMocap
+from crazychoir.mocap.simulated import SimulatedMocap
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock
 from crazychoir.runtime.supervisor import Supervisor
@@ -62,7 +62,7 @@ def world_actors(
         WorldOwner(
             bus,
             world,
-            _camera_actors(config, world.ids),
+            SimulatedMocap.of(config, world.ids),
             config.mocap.rate,
             trace,
             base,
@@ -70,16 +70,6 @@ def world_actors(
         )
         for world in make_worlds(config, ids)
     ]
-
-
-def _camera_actors(config: SwarmConfig, ids: tuple[int, ...]) -> SimulatedMocap:
-    mocap = config.mocap
-    return SimulatedMocap(
-        ids,
-        config.seed,
-        CameraErrors.of(mocap),
-        dt=1.0 / mocap.rate,
-    )
 
 
 @dataclass

@@ -414,7 +414,7 @@ class CalibrationTable(SwarmTable, frozen=True, kw_only=True):
     rate_damping: RateDampings | None = None
     """(3,) N m per rad/s, body axes."""
     noise: Noises | None = None
-    """m, rad, rad/s: noise of place, angles and gyroscope in flight; for information."""
+    """m, rad, rad/s: noise of place, angles and gyroscope in flight; simulated cameras have the first two."""
     battery_resistance: Resistance | None = None
     """ohm."""
     battery_capacity: Capacity | None = None

@@ -8,8 +8,9 @@ from typing import Self
 
 import numpy as np
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import MocapTable
-from crazychoir.numerics.kernels import kernel, matrix, real, table
+from crazychoir.numerics.kernels import kernel, matrix, table
 from crazychoir.numerics.math3d import (
     quaternion_product,
     rotation_exponential,
@@ -20,16 +21,13 @@ TILT_TICK = (1 << 64) - 1
 """Tick of the draws that are the tilts of the tracked bodies; no exposure has it."""
 
 
-@kernel(matrix, matrix, real, real, matrix, table)
-def _disturb(
-    x: Mat, normal: Mat, noise_p: float, noise_angle: float, tilts: Mat, out: Mat
-) -> None:
+@kernel(matrix, matrix, matrix, matrix, table)
+def _disturb(x: Mat, normal: Mat, noises: Mat, tilts: Mat, out: Mat) -> None:
     """Write the measured poses: p + n_p, q q_tilt exp(n_angle).
 
     x: (N, 13): states
     normal: (N, 6): standard normals for the noise n
-    noise_p: m: standard deviation of n_p, per axis
-    noise_angle: rad: standard deviation of n_angle, per axis
+    noises: (N, 2) m, rad: standard deviations of n_p and n_angle, per axis
     tilts: (N, 4): q_tilt of each drone
     out: (N, 7): poses
     """
@@ -38,11 +36,11 @@ def _disturb(
             (x[i, 6], x[i, 7], x[i, 8], x[i, 9]),
             (tilts[i, 0], tilts[i, 1], tilts[i, 2], tilts[i, 3]),
         )
-        a = noise_angle
+        a = noises[i, 1]
         r = rotation_exponential(a * normal[i, 3], a * normal[i, 4], a * normal[i, 5])
         out[i, 3], out[i, 4], out[i, 5], out[i, 6] = quaternion_product(q, r)
         for c in range(3):
-            out[i, c] = x[i, c] + noise_p * normal[i, c]
+            out[i, c] = x[i, c] + noises[i, 0] * normal[i, c]
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +109,20 @@ class SimulatedMocap:
         self._beginning = self._bits.state
         self._key = self._beginning["state"]["key"]
         self._tilts = self._draw_tilts()
+        self.noises = np.tile([errors.noise_p, errors.noise_angle], (len(self.ids), 1))
+        """(N, 2) m, rad: deviations of n_p and n_angle of each drone."""
         self._exposures: deque[tuple[int, Mat]] = deque()
+
+    @classmethod
+    def of(cls, config: SwarmConfig, ids: Sequence[int]) -> Self:
+        """Return the cameras of a swarm file, with the noise of calibrated drones."""
+        mocap = config.mocap
+        cameras = cls(ids, config.seed, CameraErrors.of(mocap), 1.0 / mocap.rate)
+        for row, i in enumerate(cameras.ids):
+            found = config.drone(i).calibration.noise
+            if found is not None:
+                cameras.noises[row] = found[:2]
+        return cameras
 
     def sample(self, x: Mat, k: int) -> CameraFrame | None:
         """Return the frame that arrives at tick k of the cameras; None if none arrives.
@@ -128,14 +139,7 @@ class SimulatedMocap:
         exposed, truth = due
         normal = self._normal(exposed)
         flat = np.empty((len(self.ids), 7))
-        _disturb(
-            truth,
-            normal,
-            self.errors.noise_p,
-            self.errors.noise_angle,
-            self._tilts,
-            flat,
-        )
+        _disturb(truth, normal, self.noises, self._tilts, flat)
         return CameraFrame(
             flat, (k - exposed) * self.dt, normal[:, 6] >= self._dropout_threshold
         )

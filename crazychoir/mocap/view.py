@@ -12,7 +12,7 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.files.recorded_times import RECORDED_TIME_LIMITS
 from crazychoir.filters.poses import is_readable
 from crazychoir.mocap.frames import PoseFrame
-from crazychoir.mocap.simulated import CameraErrors, SimulatedMocap
+from crazychoir.mocap.simulated import SimulatedMocap
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,16 +69,10 @@ class CameraBlur:
     """
 
     def __init__(self, config: SwarmConfig) -> None:
-        mocap = config.mocap
         ids = config.topology.seen
         self._names = [config.body_name(i) for i in ids]
-        self._cameras = SimulatedMocap(
-            ids,
-            config.seed,
-            CameraErrors.of(mocap),
-            dt=1.0 / mocap.rate,
-        )
-        self._rate = mocap.rate
+        self._cameras = SimulatedMocap.of(config, ids)
+        self._rate = config.mocap.rate
         self._tick = -1
         self._began = math.nan
 

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import MocapTable
 from crazychoir.mocap.simulated import CameraErrors, SimulatedMocap
 from crazychoir.numerics.math3d import (
@@ -124,3 +125,22 @@ def test_bodies_are_mounted_askew_by_angles_of_their_own():
     np.testing.assert_allclose(np.std(tilts, axis=1), 0.01, rtol=0.1)
     alone = SimulatedMocap([7], 3, errors).sample(truth([7]), 5)
     np.testing.assert_array_equal(alone.flat[0, 3:], frame.flat[7, 3:])
+
+
+def test_a_calibrated_drone_is_seen_with_the_noise_that_was_found():
+    drones = [
+        {"id": 0, "home": [0.0, 0.0, 0.0]},
+        {
+            "id": 1,
+            "home": [1.0, 0.0, 0.0],
+            "calibration": {"noise": [0.001, 0.02, 0.0]},
+        },
+    ]
+    config = SwarmConfig.of({"name": "a", "drones": drones, "mocap": {"noise": 2e-4}})
+    mocap = SimulatedMocap.of(config, (1, 0))
+    np.testing.assert_array_equal(mocap.noises, [[0.001, 0.02], [2e-4, 0.00175]])
+    plain = SimulatedMocap((1, 0), config.seed, CameraErrors.of(config.mocap))
+    far, near = mocap.sample(truth([1, 0]), 0).flat
+    expected, same = plain.sample(truth([1, 0]), 0).flat
+    np.testing.assert_array_equal(near, same)
+    np.testing.assert_allclose(far[:3] - [1, 0, 0], 5.0 * (expected[:3] - [1, 0, 0]))
