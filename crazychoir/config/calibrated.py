@@ -27,8 +27,10 @@ MOTOR_LEVEL_WORLDS = (WORLD_URIS.motor_level, WORLD_URIS.mujoco)
 """Worlds with the bodies of [motors]."""
 
 
-def build_body(drone: DroneTable) -> Platform:
+def build_body(drone: DroneTable, has_worn_battery: bool = False) -> Platform:
     """Return the platform of the drone's body, with all effects that were found in its flights.
+
+    has_worn_battery: wears the battery of the platform; what was found of the battery stays as found
 
     Commands are scaled with the rotors, see `simulation.common.mismatch`: the thrust factor is left to the caller.
     """
@@ -42,7 +44,9 @@ def build_body(drone: DroneTable) -> Platform:
             if found.rotor_lag is None
             else replace(row.rotor, lag=found.rotor_lag)
         ),
-        battery=_build_battery(row.battery, found),
+        battery=_build_battery(
+            row.battery.worn if has_worn_battery else row.battery, found
+        ),
         effects=BodyEffects(
             speed_moment=found.speed_moment,
             motor_factors=found.motor_factors,

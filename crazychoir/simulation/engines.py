@@ -142,7 +142,7 @@ def _world(config: SwarmConfig, drones: tuple[DroneTable, ...]) -> World:
         dt=WORLD_STEP,
         mass_error=config.plant.mass_error,
         thrust_error=config.plant.thrust_error,
-        bodies=tuple(build_body(drone) for drone in drones),
+        bodies=tuple(build_body(drone, config.motors.worn_battery) for drone in drones),
         thrust_factors=tuple(find_thrust_factor(drone) for drone in drones),
     )
     try:

@@ -110,7 +110,10 @@ class VirtualSwarm:
                 mass_error=config.plant.mass_error,
                 thrust_error=config.plant.thrust_error,
                 bodies=tuple(
-                    platform_of_release(build_body(drone), release) for drone in drones
+                    platform_of_release(
+                        build_body(drone, config.motors.worn_battery), release
+                    )
+                    for drone in drones
                 ),
                 thrust_factors=tuple(find_thrust_factor(drone) for drone in drones),
             )

@@ -28,7 +28,6 @@ from crazychoir.simulation.identification.parameters import (
 from crazychoir.simulation.identification.windows import find_windows
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.motor_level.disturbances import Disturbances
-from crazychoir.simulation.motor_level.imperfections import wear
 from crazychoir.simulation.motor_level.imu import VIBRATING_IMU
 from crazychoir.simulation.motor_level.motors import MotorConditions
 from crazychoir.simulation.motor_level.pose_delay import PoseDelay
@@ -152,7 +151,7 @@ def find_body(flight: RealFlight, platform: Platform) -> Platform:
     return replace(
         body,
         effects=replace(body.effects, motor_factors=factors),
-        battery=wear(platform.battery),
+        battery=platform.battery.worn,
     )
 
 

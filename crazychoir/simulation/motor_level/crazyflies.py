@@ -231,7 +231,6 @@ class CrazyflieWorld(MotorWorld):
             share * options["speed_moment"],
             share * options["rate_damping"],
             min(share * options["imbalance"], LARGEST_IMBALANCE),
-            options["worn_battery"],
         )
         true_bodies = setup.build_bodies(apply_model_errors)
         bodies = [

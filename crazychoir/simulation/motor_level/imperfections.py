@@ -6,7 +6,7 @@ arXiv 2603.09908; ten of them are in the tests) and are used for all platforms.
 
 from dataclasses import dataclass, replace
 
-from crazychoir.platforms import Battery, BodyEffects, Platform
+from crazychoir.platforms import BodyEffects, Platform
 from crazychoir.simulation.common.draws import (
     RANDOM_STREAMS,
     derive_stream_key,
@@ -37,8 +37,6 @@ class Imperfections:
     Source: constant angular accelerations of -41 to 48 rad/s2. One motor with 0.1 more thrust makes
     15 rad/s2.
     """
-    worn_battery: bool = False
-    """Whether the battery is a worn one."""
 
     def apply(self, platform: Platform, seed: int, drone: int) -> Platform:
         """Return the body of a drone with these imperfections.
@@ -46,8 +44,6 @@ class Imperfections:
         What is known of the drone stays. The motors differ, but together they have the platform's thrust.
         seed: of the factors of the motors, which are functions of (seed, drone)
         """
-        if self.worn_battery:
-            platform = replace(platform, battery=wear(platform.battery))
         key = derive_stream_key(seed, RANDOM_STREAMS.motor_factors, drone)
         drawn = [1.0 + self.imbalance * draw_uniform(key, motor) for motor in range(4)]
         first, second, third, fourth = (4.0 * one / sum(drawn) for one in drawn)
@@ -62,17 +58,3 @@ class Imperfections:
                 )
             ),
         )
-
-
-def wear(battery: Battery) -> Battery:
-    """Return the battery after many flights, like that of the recorded drone.
-
-    Source: that battery sagged by 0.6 V at take-off, and carried its drone for about 110 s until 3.0 V.
-    With these factors a cf21 sags by 0.6 V and hovers for 123 s.
-    """
-    return replace(
-        battery,
-        resistance=2.0 * battery.resistance,
-        capacity=0.44 * battery.capacity,
-        hover_power=1.3 * battery.hover_power,
-    )

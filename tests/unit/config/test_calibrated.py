@@ -134,3 +134,12 @@ def test_controllers_are_made_for_the_moment_that_was_found():
     )
     platform = find_controlled_platform(drone, MotorsTable())
     assert platform.effects.speed_moment == (5e-4, 6e-4)
+
+
+def test_a_calibrated_battery_is_not_worn_twice():
+    drone = make_drone(battery_resistance=0.2)
+    worn = build_body(drone, has_worn_battery=True).battery
+    assert worn.resistance == 0.2
+    assert worn.capacity == CRAZYFLIE_21.battery.worn.capacity
+    assert worn.hover_power == CRAZYFLIE_21.battery.worn.hover_power
+    assert build_body(drone).battery.capacity == CRAZYFLIE_21.battery.capacity

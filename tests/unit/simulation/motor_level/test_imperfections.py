@@ -7,7 +7,7 @@ import pytest
 
 from crazychoir.platforms import CRAZYFLIE_21, EVEN_MOTORS, BodyEffects
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
-from crazychoir.simulation.motor_level.imperfections import Imperfections, wear
+from crazychoir.simulation.motor_level.imperfections import Imperfections
 
 P = CRAZYFLIE_21
 
@@ -46,7 +46,7 @@ def test_a_drone_keeps_what_was_identified_and_has_typical_values_for_the_rest()
 
 def test_a_worn_battery_sags_and_is_empty_after_two_minutes():
     """Measured on the recorded drone: 0.6 V, and 110 s until 3.0 V, with tolerances of 0.1 V and a quarter."""
-    body = replace(P, battery=wear(P.battery))
+    body = replace(P, battery=P.battery.worn)
     world = CrazyflieWorld([0], np.array([[0.0, 0.0, 1.0]]), bodies=[body])
     world.link(0, "fpqr").onboard.arm()
     seconds = 0.0

@@ -4,9 +4,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import MotorsTable
 from crazychoir.platforms import CRAZYFLIE_21, BodyEffects
 from crazychoir.simulation.common.world import WorldSetup
+from crazychoir.simulation.engines import make_worlds
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.types import Pose
 
@@ -77,7 +79,13 @@ def test_drones_of_one_swarm_differ():
 
 
 def test_a_worn_battery_is_an_option():
-    worn, fresh = (make_world(worn_battery=worn) for worn in (True, False))
-    assert (
-        worn.platforms[0].battery.capacity < 0.5 * fresh.platforms[0].battery.capacity
-    )
+    drones = [{"id": 2, "home": [0.0, 0.0, 0.0], "uri": "sim://motors"}]
+    batteries = []
+    for is_worn in (True, False):
+        motors = {"worn_battery": is_worn}
+        config = SwarmConfig.of({"name": "a", "drones": drones, "motors": motors})
+        (world,) = make_worlds(config, (2,))
+        batteries.append(world.platforms[0].battery)
+    worn, fresh = batteries
+    assert worn == fresh.worn
+    assert worn.capacity < 0.5 * fresh.capacity
