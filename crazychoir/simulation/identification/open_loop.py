@@ -23,6 +23,9 @@ from crazychoir.simulation.motor_level.lanes import (
 )
 from crazychoir.types import Bools, Ints, Mat, Vec
 
+TRIM_BLOCK_ROWS = 4
+"""Rows of a part of the time that trims are found in: 40 ms; their offsets are the middle of its parts."""
+
 
 class TrimSource(StrEnum):
     """What a model may see of the flight before it predicts a window."""
@@ -137,9 +140,11 @@ def estimate_trims(
 ) -> Trims:
     """Estimate thrust and angular offsets of each window from the flight before it.
 
-        dv = k s + s_0,   k = s (dv - s_0) / |s|^2,   a = (dw - k r - r_0) / T
+        dv = k s + s_0,   k = s (dv - s_0) / |s|^2,   a = middle of (dw - k r - r_0) / T_b
 
-    dv, dw: changes of velocity and rates in the T s that the source shows, without gaps
+    dv: change of velocity in the time that the source shows, without gaps
+    dw: change of rates in each T_b = 40 ms of it; a is the mean of the middle half of their offsets along each axis,
+        because the error of a sudden turn is not an offset that lasts
     s, r: changes that the plant's thrusts make
     s_0, r_0: changes that the rest of the plant makes
     """
@@ -159,11 +164,42 @@ def estimate_trims(
         made = slopes - rest
         change = _sum_between(recorded - rest, begin, end)
         gain = _sum_between(made, begin, end)
-        seconds = _sum_between(known, begin, end) * FLIGHT_TIME_STEP
         k = (gain[:, :3] * change[:, :3]).sum(axis=1) / (gain[:, :3] ** 2).sum(axis=1)
         thrust[own] = k
-        offsets[own] = (change[:, 3:] - k[:, None] * gain[:, 3:]) / seconds
+        turned = np.hstack([(recorded - rest)[:, 3:], made[:, 3:], known])
+        blocks = _sum_blocks(turned, begin, end)
+        offsets[own] = _find_middle(
+            blocks[..., :3] - k[:, None, None] * blocks[..., 3:6],
+            FLIGHT_TIME_STEP * blocks[..., 6],
+        )
     return Trims(thrust, offsets)
+
+
+def _sum_blocks(values: Mat, begin: Ints, end: Ints) -> Mat:
+    """Return the sums of values (n, c) over each TRIM_BLOCK_ROWS rows of [begin, end): (w, b, c).
+
+    The spans are equally long; rows behind the last whole block are left out.
+    """
+    count = int((end - begin).min(initial=len(values))) // TRIM_BLOCK_ROWS
+    edges = begin[:, None] + TRIM_BLOCK_ROWS * np.arange(count + 1)
+    sums = np.vstack([np.zeros(values.shape[1]), np.cumsum(values, axis=0)])[edges]
+    return np.asarray(np.diff(sums, axis=1))
+
+
+def _find_middle(changes: Mat, seconds: Mat) -> Mat:
+    """Return the mean (w, 3) of the middle half of changes over their time.
+
+    changes: (w, b, 3)
+    seconds: (w, b) s: known time of each block; blocks without any count as the mean of the others
+    """
+    total = seconds.sum(axis=1)[:, None]
+    mean = changes.sum(axis=1) / total
+    share = np.maximum(seconds, FLIGHT_TIME_STEP)[..., None]
+    values = np.where(seconds[..., None] > 0.0, changes / share, mean[:, None])
+    ordered = np.sort(values, axis=1)
+    left_out = ordered.shape[1] // 4
+    kept = ordered[:, left_out : ordered.shape[1] - left_out]
+    return np.asarray(kept.mean(axis=1))
 
 
 def _trim_rows(

@@ -87,13 +87,13 @@ would shrink the gain.
 Source: an analysis of 77 flights of NanoBench (arXiv 2603.09908); ten of them are in the tests.
 """
 FITTED_PARAMETERS = PlantParameters(
-    lag=0.0355,
-    delay=0.0328,
-    torque_gain=0.186,
-    roll_moment=8.30,
-    pitch_moment=8.69,
-    damping=9.20,
-    yaw_damping=4.50,
+    lag=0.0554,
+    delay=0.0177,
+    torque_gain=0.153,
+    roll_moment=6.93,
+    pitch_moment=7.21,
+    damping=7.91,
+    yaw_damping=4.90,
     drag=0.409,
     vertical_drag=0.0,
 )

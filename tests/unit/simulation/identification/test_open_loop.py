@@ -183,6 +183,22 @@ def test_the_moment_of_speed_is_what_a_physical_plant_needs_most(real):
     assert errors[1] > 1.8 * errors[0]
 
 
+def test_the_error_of_a_sudden_turn_is_no_offset_that_lasts(real):
+    """A push of 3 rad/s in the last 50 ms: the mean over 0.36 s would be off by 8 rad/s2."""
+    flight = real.flights[0]
+    start = real.start[real.flight == 0][20]
+    pushed = flight.w.copy()
+    pushed[start - 5 :, 1] += 3.0
+    plant = FITTED_PARAMETERS.apply(CRAZYFLIE_21)
+    offsets = []
+    for one in (flight, replace(flight, w=pushed)):
+        windows = find_windows([one])
+        trims = estimate_trims(windows, follow_plant(windows, plant), TrimSource.LAST)
+        offsets.append(trims.offsets[windows.start == start][0])
+    before, after = offsets
+    np.testing.assert_allclose(after, before, atol=2.0)
+
+
 def test_flights_without_a_part_outside_gaps_are_refused(real):
     blind = replace(real.flights[0], is_known=np.zeros(len(real.flights[0].t), bool))
     with pytest.raises(ConfigError, match=r"no 0\.86 s in the air"):
