@@ -14,6 +14,7 @@ ROOMS = (
     "control",
     "recording",
     "dashboard",
+    "bridges",
     "bus",
     "team",
     "flight",

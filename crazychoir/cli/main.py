@@ -9,7 +9,15 @@ import typer
 
 from crazychoir.cli.compute import simulate, solve
 from crazychoir.cli.fly import missions, run, sweep, virtual
-from crazychoir.cli.operate import dashboard, go_to, inspect, orders, param, task
+from crazychoir.cli.operate import (
+    dashboard,
+    foxglove,
+    go_to,
+    inspect,
+    orders,
+    param,
+    task,
+)
 from crazychoir.cli.recordings import (
     calibrate,
     convert,
@@ -73,6 +81,7 @@ COMMANDS_BY_GROUP: dict[CommandGroup, dict[str, Callable[..., None]]] = {
         "topics": inspect.topics,
         "echo": inspect.echo,
         "hz": inspect.hz,
+        "foxglove": foxglove.foxglove,
         "ros": ros.ros,
     },
     CommandGroup.recordings: {

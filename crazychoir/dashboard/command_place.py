@@ -1,8 +1,9 @@
-"""The place on the network from which the operators of a page give commands."""
+"""The place on the network from which the operators of a page observe and give commands."""
 
 from typing import Protocol
 
 from crazychoir.bus.commands import Commander
+from crazychoir.bus.port import Bus
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.runtime.clock import Clock
 
@@ -21,4 +22,21 @@ class CommandPlace(Protocol):
     @property
     def replays(self) -> bool:
         """Whether the messages come from a recording."""
+        ...
+
+
+class PageLink(Protocol):
+    """The part of a network connection that the page needs."""
+
+    bus: Bus
+
+
+class PagePlace(CommandPlace, Protocol):
+    """A place on the network that observes and commands."""
+
+    address: int
+
+    @property
+    def link(self) -> PageLink:
+        """Its connection to the network."""
         ...

@@ -176,6 +176,14 @@ class SwarmModel:
         k = self.config.ids.index(i)
         return None if self._seen[k] == -np.inf else self._rows[k, 0:3].astype(float)
 
+    def state(self, i: int) -> tuple[State, float] | None:
+        """Return the last state of drone i and its age in s; None if it was not heard."""
+        k = self.config.ids.index(i)
+        if self._seen[k] == -np.inf:
+            return None
+        age = self.bus.clock.now() - float(self._seen[k])
+        return State(self._rows[k, 0:13].astype(float)), age
+
     def heard_by(self, i: int) -> int:
         """Return how many drones drone i hears, itself included; 0 if i is not heard here."""
         seen = self.drones[i]

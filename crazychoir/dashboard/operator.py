@@ -21,6 +21,7 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import LinkTable
 from crazychoir.dashboard.commands import CommandDesk
 from crazychoir.dashboard.polling import TaskBoard
+from crazychoir.dashboard.receipts import Receipt
 from crazychoir.dashboard.requests import (
     AddTask,
     CancelTask,
@@ -70,12 +71,8 @@ class PageOperator:
         Raises ConfigError with the reason if it cannot be done.
         """
         match message:
-            case Order(verb, drones):
-                self.desk.order(verb, self._those(drones))
-            case Stop(drones, clear, key):
-                self.desk.stop(self._those(drones), clear, key)
-            case GoTo():
-                self._go_to(message)
+            case Order() | Stop() | GoTo():
+                self.command(message)
             case Draw() | PlanTrajectory():
                 self._plan = None
                 self._drawn = self._drawn + 1
@@ -100,6 +97,18 @@ class PageOperator:
             case CancelTask(j):
                 self.board.begin("task_cancel", str(j), id=j)
         return None
+
+    def command(self, message: Order | Stop | GoTo) -> Receipt:
+        """Give a command that needs no preparation, and return its receipt.
+
+        Raises ConfigError with the reason if it cannot be given.
+        """
+        match message:
+            case Order(verb, drones):
+                return self.desk.order(verb, self._those(drones))
+            case Stop(drones, clear, key):
+                return self.desk.stop(self._those(drones), clear, key)
+        return self._go_to(message)
 
     def _impair(self, message: Impair) -> None:
         """Send the change to every drone.
@@ -138,10 +147,10 @@ class PageOperator:
             says=lambda network: "; ".join(rules_in_words(network)),
         )
 
-    def _go_to(self, message: GoTo) -> None:
+    def _go_to(self, message: GoTo) -> Receipt:
         drones = self._checked(message.drones)
         goals = flight_places(message.p, message.offset, drones, self.config)
-        self.desk.order(
+        return self.desk.order(
             "go-to",
             goals,
             words=f"{list(message.p)} m",

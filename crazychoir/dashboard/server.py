@@ -8,7 +8,7 @@ import ssl
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import uvicorn
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
@@ -17,9 +17,8 @@ from starlette.staticfiles import StaticFiles
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from crazychoir.agent.dead_man import ConsoleReporter, is_console
-from crazychoir.bus.port import Bus
 from crazychoir.dashboard.access import PAGE_REQUEST_RULES, AccessGate, network_of
-from crazychoir.dashboard.command_place import CommandPlace
+from crazychoir.dashboard.command_place import PagePlace
 from crazychoir.dashboard.commands import CommandDesk
 from crazychoir.dashboard.event_log import EventLog
 from crazychoir.dashboard.model import SwarmModel
@@ -59,23 +58,6 @@ A request must arrive, and the next one follow an answer, within one to two such
 """
 MOST_CONNECTIONS_PER_ADDRESS = 64
 """Largest number of connections of one address, WebSockets included; a browser has some six."""
-
-
-class PageLink(Protocol):
-    """The part of a network connection that the page needs."""
-
-    bus: Bus
-
-
-class PagePlace(CommandPlace, Protocol):
-    """A place on the network that observes and commands."""
-
-    address: int
-
-    @property
-    def link(self) -> PageLink:
-        """Its connection to the network."""
-        ...
 
 
 @dataclass(frozen=True)

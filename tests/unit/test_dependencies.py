@@ -18,6 +18,7 @@ ROOMS = {
         "crazychoir/recording/video.py",
     ),
     "mocap": ("crazychoir/mocap/reader.py",),
+    "foxglove": ("crazychoir/bridges/foxglove_server.py",),
     "gym": ("crazychoir/api/env",),
     "ros2": ("crazychoir/recording/ros/rmw_zenoh.py",),
     "tables": ("crazychoir/api/",),
@@ -29,6 +30,8 @@ TWINS = {"cvxpy": "cvxpy-base"}
 IMPORTERS = ("import_module", "find_spec", "__import__")
 NAMED_OTHERWISE = {
     "PIL": "pillow",
+    "foxglove": "foxglove-sdk",
+    "google": "protobuf",
     "mango": "mango-agents",
     "vroom": "pyvroom",
     "zenoh": "eclipse-zenoh",
@@ -135,7 +138,9 @@ def groups(repository):
 
 
 def test_the_tests_have_the_extras_that_they_need(groups):
-    assert "crazychoir[dashboard,gym,mocap,mujoco,ros2,tables]" in groups["test"]
+    assert (
+        "crazychoir[dashboard,foxglove,gym,mocap,mujoco,ros2,tables]" in groups["test"]
+    )
     assert "crazychoir[bench]" in groups["bench"]
 
 

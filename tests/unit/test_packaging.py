@@ -286,7 +286,10 @@ def test_the_citation_has_the_version_and_the_authors_of_the_package(
 
 def test_users_get_extras_and_contributors_get_groups(repository, metadata):
     project = tomllib.loads((repository / "pyproject.toml").read_text())
-    extras = {"bench", "dashboard", "gym", "mocap", "mujoco", "ros2", "tables"}
+    extras = {
+        *("bench", "dashboard", "foxglove", "gym", "mocap", "mujoco"),
+        *("ros2", "tables"),
+    }
     assert set(metadata.get_all("Provides-Extra")) == extras
     assert set(project["dependency-groups"]) == {"bench", "docs", "test"}
 

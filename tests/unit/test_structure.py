@@ -164,7 +164,7 @@ def spoilt(repository, tmp_path_factory) -> Path:
         bottom_imports_top(folder / "crazychoir", contract)
     faults = {
         "bus/fault.py": "import cflib.crazyflie\nimport highspy\nimport mujoco\n",
-        "team/fault.py": "import nicegui\n",
+        "team/fault.py": "import foxglove\nimport nicegui\n",
         "filters/fault.py": "import asyncio\nimport zenoh\n",
         "agents/fault.py": "from crazychoir import cli\n",
         "attic.py": "",

@@ -232,13 +232,13 @@ class Window:
         ground until it is cleared.
         Raises Refused if there is no agent and no body, or if the keys here are not an operator's.
         """
-        self._require_operator()
+        self.require_operator()
         meant = tuple(self.config.ids if drones is None else drones)
         return await EmergencyStop(
             self, meant, clear, alone=drones is not None and not clear
         ).run()
 
-    def _require_operator(self) -> None:
+    def require_operator(self) -> None:
         """Raise Refused unless the keys here are an operator's.
 
         Drones and bodies obey operators only.
@@ -273,7 +273,7 @@ class Window:
         ask: sends the request to one drone, and returns whether it was obeyed, and its answer
         drones: ids of the drones; None for all
         """
-        self._require_operator()
+        self.require_operator()
         await self.wait_for_drone()
         asked = {
             i: asyncio.ensure_future(ask(i))
