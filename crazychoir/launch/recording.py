@@ -23,6 +23,7 @@ from crazychoir.errors import is_library
 from crazychoir.guidance.mission import MISSION_PACKAGE, Mission
 from crazychoir.recording.analysis.figures import UNSEEN_DRONES_KEY
 from crazychoir.recording.mcap.file import RecordingFile
+from crazychoir.recording.ros.views import FlightViews
 
 FILES_KEY = "files"
 """Key of a recording's `describe_flight` for the digests of files, as JSON."""
@@ -54,7 +55,12 @@ def make_recording(
         FILES_KEY: json.dumps(compute_file_digests(config, mission))
     }
     return RecordingFile(
-        path, told, config.dumps(), not virtual, read_mission_text(mission)
+        path,
+        told,
+        config.dumps(),
+        not virtual,
+        read_mission_text(mission),
+        FlightViews(config),
     )
 
 

@@ -32,6 +32,7 @@ NAMED_OTHERWISE = {
     "PIL": "pillow",
     "foxglove": "foxglove-sdk",
     "google": "protobuf",
+    "pamoja": "pamoja-ros2",
     "mango": "mango-agents",
     "vroom": "pyvroom",
     "zenoh": "eclipse-zenoh",

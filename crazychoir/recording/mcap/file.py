@@ -14,6 +14,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
@@ -49,6 +50,10 @@ LARGEST_CHUNK = 4 << 20
 """Bytes of messages in a chunk after which it is closed, before compression."""
 
 
+VIEW_KEY = "view"
+"""Key in the metadata of a channel that only viewers read."""
+
+
 @dataclass(eq=False)
 class Series:
     """The messages of one topic of one drone."""
@@ -67,12 +72,46 @@ class Series:
         """Its name as tools show it."""
         return f"/drone{self.drone}/{self.topic}"
 
+    @property
+    def type(self) -> str:
+        """Type of its messages in the notation of ROS 2."""
+        return self.message.type
+
+    @property
+    def schema(self) -> str:
+        """Definition of that type."""
+        return self.message.schema
+
+    @property
+    def told(self) -> dict[str, str]:
+        """What its channel tells readers."""
+        return {"drone": str(self.drone), "topic": self.topic}
+
+
+@dataclass(eq=False)
+class ViewSeries:
+    """Messages that only viewers read; they are made of recorded messages, and repeat them."""
+
+    name: str
+    """Its name as tools show it."""
+    type: str
+    """Type of its messages in the notation of ROS 2."""
+    schema: str
+    """Definition of that type."""
+    id: int = 0
+    """Number of its MCAP channel; 0 before its first message is written."""
+
+    @property
+    def told(self) -> dict[str, str]:
+        """What its channel tells readers."""
+        return {VIEW_KEY: self.name}
+
 
 @dataclass(slots=True)
 class RecordingEntry:
     """One message on its way to the file."""
 
-    series: Series
+    series: Series | ViewSeries
     """The series that it belongs to."""
     came_ns: int
     """Time of arrival, ns."""
@@ -80,6 +119,14 @@ class RecordingEntry:
     """Time of birth, ns."""
     data: bytes
     """Its bytes."""
+
+
+class Views(Protocol):
+    """Adds messages for viewers to those of a recording."""
+
+    def extend(self, entries: Sequence[RecordingEntry]) -> list[RecordingEntry]:
+        """Return these entries, at least one, and after some of them a message for viewers."""
+        ...
 
 
 class RecordingFile:
@@ -94,6 +141,7 @@ class RecordingFile:
     durable: True to have all on the disk within a second or two; writing then waits for the disk
         and should be done in a thread
     mission: text of the mission's file
+    views: adds messages for viewers; None for none
     Raises ConfigError if the file exists already or cannot be made.
     """
 
@@ -104,11 +152,12 @@ class RecordingFile:
         swarm: str,
         durable: bool,
         mission: str = "",
+        views: Views | None = None,
     ) -> None:
         self.path = path
         self.durable = durable
         self.written = 0
-        """Messages in the file."""
+        """Messages in the file, without the messages for viewers."""
         self.lost = 0
         """Messages that are not in the file: not written, or counted as lost by the recorder."""
         self.missed = 0
@@ -119,6 +168,7 @@ class RecordingFile:
         self._synced_ns = 0
         self._outcome: dict[str, str] = {}
         self._schemas: dict[str, int] = {}
+        self._views = views
         self._writer = McapWriter()
         self._writer.begin(profile="ros2", library=f"crazychoir {about['version']}")
         self._writer.metadata(RECORDING_FORMAT.about_record, readable_texts(about))
@@ -181,7 +231,8 @@ class RecordingFile:
     def _add(self, entries: Sequence[RecordingEntry]) -> None:
         messages: list[Timed] = []
         size = 0
-        for entry in entries:
+        shown = entries if self._views is None else self._views.extend(entries)
+        for entry in shown:
             series = entry.series
             series.id = series.id or self._channel(series)
             messages.append((series.id, entry.came_ns, entry.born_ns, entry.data))
@@ -198,15 +249,14 @@ class RecordingFile:
             self.written += len(entries)
             self._synced_ns = now_ns if due else self._synced_ns
 
-    def _channel(self, series: Series) -> int:
-        kind = series.message.type
+    def _channel(self, series: Series | ViewSeries) -> int:
+        kind = series.type
         if kind not in self._schemas:
             self._schemas[kind] = self._writer.schema(
-                kind, SchemaEncoding.ROS2, series.message.schema
+                kind, SchemaEncoding.ROS2, series.schema
             )
-        told = {"drone": str(series.drone), "topic": series.topic}
         return self._writer.channel(
-            series.name, MessageEncoding.CDR, self._schemas[kind], told
+            series.name, MessageEncoding.CDR, self._schemas[kind], series.told
         )
 
     def _put(self, sync: bool) -> bool:

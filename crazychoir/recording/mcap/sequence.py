@@ -14,6 +14,7 @@ from mcap.records import Channel, Schema
 
 from crazychoir.errors import ConfigError
 from crazychoir.recording.mcap.cdr import Leaf, definitions_of, leaves, unpack_values
+from crazychoir.recording.mcap.file import VIEW_KEY
 from crazychoir.recording.mcap.records import (
     MESSAGE_HEADER,
     RECORDING_HINT,
@@ -68,7 +69,7 @@ class RecordedMessage:
 
 
 class RecordedMessages:
-    """Iterates over the messages of all whole chunks.
+    """Iterates over the messages of all whole chunks, without the messages for viewers.
 
     path: the file
     topics: topics to read, None for all
@@ -84,7 +85,7 @@ class RecordedMessages:
     def __iter__(self) -> Iterator[RecordedMessage]:
         with open_recording(self.path) as content:
             whole = Records(content)
-            sources = dict[int, RecordedChannel]()
+            sources = dict[int, RecordedChannel | None]()
             schemas = dict[int, Schema]()
             for opcode, body in whole:
                 if opcode == Opcode.CHUNK:
@@ -94,7 +95,7 @@ class RecordedMessages:
     def _of_chunk(
         self,
         chunk: bytes,
-        sources: dict[int, RecordedChannel],
+        sources: dict[int, RecordedChannel | None],
         schemas: dict[int, Schema],
     ) -> Iterator[RecordedMessage]:
         """Yield the messages of a chunk, and add its sources and schemas to those known before."""
@@ -110,7 +111,9 @@ class RecordedMessages:
                             RECORDING_HINT,
                         )
                     source = sources[channel]
-                    if self.topics is None or source.topic in self.topics:
+                    if source is not None and (
+                        self.topics is None or source.topic in self.topics
+                    ):
                         yield RecordedMessage(
                             source, came_ns, born_ns, record[MESSAGE_HEADER.size :]
                         )
@@ -131,7 +134,10 @@ def read_messages(
 
 def _source(
     path: Path, channel: Channel, schemas: dict[int, Schema]
-) -> RecordedChannel:
+) -> RecordedChannel | None:
+    """Return a channel; None for a channel for viewers."""
+    if VIEW_KEY in channel.metadata:
+        return None
     try:
         schema = schemas[channel.schema_id]
         drone = int(channel.metadata["drone"])

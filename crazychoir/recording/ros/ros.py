@@ -102,7 +102,7 @@ def to_ros_messages(
             RosMessage(
                 ROS_NAMES.transform_topic,
                 ROS_NAMES.transform_type,
-                pack_transform(message),
+                pack_transform(source.drone, message.data),
             )
         )
     return said
@@ -118,14 +118,12 @@ def pack_reference_pose(reference: RecordedMessage) -> bytes:
     )
 
 
-def pack_transform(odometry: RecordedMessage) -> bytes:
-    """Return a tf2_msgs/TFMessage for an Odometry: world -> drone."""
-    x = _stamped_numbers(
-        odometry, FORM_BY_VALUE_TYPE[State].layout(odometry.source.drone)
+def pack_transform(drone: int, odometry: bytes) -> bytes:
+    """Return a tf2_msgs/TFMessage for the message of an Odometry: world -> drone."""
+    x = FORM_BY_VALUE_TYPE[State].layout(drone).numbers(odometry)
+    return _layout("geometry_msgs/TransformStamped", f"drone{drone}", 1).pack(
+        (1, *x[:9])
     )
-    return _layout(
-        "geometry_msgs/TransformStamped", f"drone{odometry.source.drone}", 1
-    ).pack((1, *x[:9]))
 
 
 def _stamped_numbers(message: RecordedMessage, layout: Layout) -> Numbers:
