@@ -10,8 +10,8 @@ from ports import free_ports
 from ros2_decoders import fields
 from rosbags.typesys import Stores, get_typestore
 
+from crazychoir.bridges.ros_bridge import RosBridge
 from crazychoir.bus.network.zenoh_session import OutsideSession
-from crazychoir.cli.recordings.ros import RosBridge
 from crazychoir.types import State
 
 pytestmark = pytest.mark.system

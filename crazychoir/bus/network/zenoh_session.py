@@ -339,6 +339,35 @@ class ZenohSession:
         return [(link.auth_identifier, str(link.zid)) for link in links]
 
 
+ReceiveBytes = Callable[[bytes], None]
+"""Callable that gets the bytes of each message, in a thread of Zenoh. It must not block."""
+
+
+class OutsideQuery:
+    """A question of a program outside of a swarm, which is answered once or not at all.
+
+    query: the question as Zenoh hands it over
+    """
+
+    def __init__(self, query: zenoh.Query) -> None:
+        self._query = query
+        self.data = _bytes_of(query.payload)
+        """Bytes of the question."""
+        self.attachment = _bytes_of(query.attachment)
+        """Bytes that came with the question; empty if there are none."""
+
+    def reply(self, data: bytes, attachment: bytes) -> None:
+        """Send the answer; it is dropped if the program has gone."""
+        try:
+            self._query.reply(self._query.key_expr, data, attachment=attachment)
+        except zenoh.ZError as error:
+            log.warning("an answer to %s is lost: %s", self._query.key_expr, error)
+
+
+def _bytes_of(data: zenoh.ZBytes | None) -> bytes:
+    return b"" if data is None else data.to_bytes()
+
+
 class OutsideSession:
     """A session with programs outside of a swarm, at an endpoint, while its `with` lasts.
 
@@ -367,6 +396,25 @@ class OutsideSession:
     def token(self, key: str) -> None:
         """Declare a liveliness token until the end of the session."""
         self._declared.append(self._session.liveliness().declare_token(key))
+
+    def subscribe(self, key: str, receive: ReceiveBytes) -> None:
+        """Let `receive` get the messages of a key until the end of the session."""
+
+        def take(sample: zenoh.Sample) -> None:
+            receive(sample.payload.to_bytes())
+
+        self._declared.append(self._session.declare_subscriber(key, take))
+
+    def serve(self, key: str, handle: Callable[[OutsideQuery], None]) -> None:
+        """Let `handle` get the questions of a key until the end of the session.
+
+        handle: called in a thread of Zenoh; it must not block
+        """
+
+        def take(query: zenoh.Query) -> None:
+            handle(OutsideQuery(query))
+
+        self._declared.append(self._session.declare_queryable(key, take, complete=True))
 
     def put(self, key: str, data: bytes, attachment: bytes) -> None:
         """Send data to all subscribers of a key; it is dropped if they are too slow."""

@@ -28,7 +28,7 @@ LAYOUT_MODE = 0o600
 def foxglove(
     swarm: SwarmOption = None,
     port: Annotated[
-        int, options.whole("Port of this machine; 0 for a free one.", most=65535)
+        int, options.whole("Port here; 0 for a free one.", least=0, most=65535)
     ] = FOXGLOVE_PORT,
     rate: Annotated[
         float,

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 from foxglove_client import foxglove_client
+from observed_drones import TURNED, ObserverPlace
 from system.agents import until
 
 pytest.importorskip("foxglove", reason="needs the extra `foxglove`")
@@ -14,85 +15,19 @@ pytest.importorskip("foxglove", reason="needs the extra `foxglove`")
 from crazychoir.bridges import foxglove_stream
 from crazychoir.bridges.foxglove_layout import make_layout
 from crazychoir.bridges.operator_services import OPERATOR_SERVICES
-from crazychoir.bus.commands import Commander, CommandServer
-from crazychoir.bus.port import PORT_ADDRESSES, Bus
-from crazychoir.bus.topics import DRONE_TOPICS
-from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.errors import ConfigError, Refused
+from crazychoir.errors import ConfigError
 from crazychoir.runtime.clock import WallClock
-from crazychoir.types import FullState, LinkStatus, State, Status
-
-TURNED = [0.0, 0.0, float(np.sqrt(0.5)), float(np.sqrt(0.5))]
-
-
-class Place:
-    """An observer's place beside two drones: 3 does what it is told, 8 refuses."""
-
-    def __init__(self):
-        self.clock = WallClock(asyncio.get_running_loop())
-        drones = [{"id": 3, "home": [0, 0, 0]}, {"id": 8, "home": [1, 0, 0]}]
-        self.config = SwarmConfig.of({"name": "two", "drones": drones})
-        self.bus = Bus(self.clock)
-        self.link = self
-        self.address = PORT_ADDRESSES.first_observer + 1
-        self.commander = Commander(self.bus.port(self.address))
-        self.replays = False
-        self.told, self.stopped = [], []
-        for i in (3, 8):
-            CommandServer(
-                self.bus.port(i),
-                self.executor(i),
-                lambda on, i=i: self.stopped.append(i),
-            )
-
-    def is_there(self, i):
-        return i in self.bus.ports
-
-    def executor(self, i):
-        async def execute(verb, arguments):
-            if verb == "overview":
-                return {
-                    "route": [[2, 0, 1]] if i == 3 else [],
-                    "links": {},
-                    "network": NETWORK,
-                }
-            if i == 8 or verb == "task_list":
-                raise Refused("drone 8", "it is on the ground")
-            self.told.append((verb, arguments))
-            return "landed"
-
-        return execute
-
-    def publish(self, x):
-        for i in (3, 8):
-            port = self.bus.ports[i]
-            flat = np.array([x, i, 1.0, 0.5, 0, 0, *TURNED, 0, 0, 0])
-            port.publish(DRONE_TOPICS.state, State(flat), 0.0)
-            port.publish(DRONE_TOPICS.reference, FullState.at((x, i, 1.5)), 0.0)
-            port.publish(DRONE_TOPICS.status, Status("flying", cost=float(i)), 0.0)
-            port.publish(DRONE_TOPICS.link, LinkStatus("up", battery=3.9), 0.0)
-        port.publish(DRONE_TOPICS.log, "drone 8: commanded: hold", 0.0)
-
-
-NETWORK = {"rules": [], "cuts": []}
 
 
 @contextlib.asynccontextmanager
 async def served(key=None):
     """Two moving drones, and a client that knows all topics."""
-    place, said = Place(), []
-
-    async def move():
-        x = 0.0
-        while True:
-            place.publish(x)
-            x += 0.01
-            await asyncio.sleep(0.02)
+    place, said = ObserverPlace(WallClock(asyncio.get_running_loop())), []
 
     serving = asyncio.create_task(
         foxglove_stream.serve_foxglove(place, 0, 50.0, key, said.append)
     )
-    moving = asyncio.create_task(move())
+    moving = asyncio.create_task(place.move())
     try:
         await until(lambda: said, 20.0)
         port = _port(said[0])

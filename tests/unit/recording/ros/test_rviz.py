@@ -4,11 +4,30 @@ import struct
 
 import numpy as np
 import pytest
+from pamoja import ros2
 from ros2_decoders import fields
 from rosbags.typesys import Stores, get_typestore
+from zenoh_ros2_sdk.attachment import Attachment
+from zenoh_ros2_sdk.entity import EndpointEntity, EntityKind, NodeEntity
+from zenoh_ros2_sdk.keyexpr import (
+    endpoint_liveliness_keyexpr,
+    node_liveliness_keyexpr,
+)
+from zenoh_ros2_sdk.qos import QosProfile
+from zenoh_ros2_sdk.utils import (
+    compute_service_type_hash,
+    get_type_hash,
+    ros2_to_dds_type,
+)
 
 from crazychoir.recording.ros import rviz
-from crazychoir.recording.ros.rmw_zenoh import MESSAGE_HASHES, Publisher, node_token
+from crazychoir.recording.ros.rmw_zenoh import (
+    TYPE_HASHES,
+    Endpoint,
+    EndpointKind,
+    node_token,
+    reply_attachment,
+)
 from crazychoir.types import State
 
 NS = 12_345_000_000_678
@@ -89,21 +108,37 @@ def test_markers():
     assert found[3]["pose"]["position"]["z"] == pytest.approx(3.1)
 
 
-@pytest.mark.parametrize("name", MESSAGE_HASHES)
-def test_hashes_are_those_of_the_definitions(name):
-    assert (
-        STORE.hash_rihs01(name.replace("/", "/msg/"))
-        == f"RIHS01_{MESSAGE_HASHES[name]}"
-    )
+@pytest.mark.parametrize("name", TYPE_HASHES)
+def test_two_other_programs_compute_the_same_hashes(name):
+    digest = ros2.type_hash_digest(f"RIHS01_{TYPE_HASHES[name]}")
+    assert digest.hex() == TYPE_HASHES[name]
+    if name == "std_srvs/srv/Trigger":
+        request = "uint8 structure_needs_at_least_one_member"
+        found = compute_service_type_hash(
+            name, request, "bool success\nstring message", {}
+        )
+    else:
+        found = STORE.hash_rihs01(name)
+        first, *others = STORE.generate_msgdef(name, ros_version=2)[0].split(
+            80 * "=" + "\n"
+        )
+        nested = (text.removeprefix("MSG: ").split("\n", 1) for text in others)
+        definitions = {other: text for other, text in nested}
+        definitions = {
+            other.replace("/", "/msg/") if "/msg/" not in other else other: text
+            for other, text in definitions.items()
+        }
+        assert get_type_hash(name, first, definitions) == found
+    assert found == f"RIHS01_{TYPE_HASHES[name]}"
 
 
-POSES = Publisher(
-    0, "aabb", "crazychoir", 7, "/drone3/pose", "geometry_msgs/PoseStamped"
+POSES = Endpoint(
+    0, "aabb", "crazychoir", 7, "/drone3/pose", "geometry_msgs/msg/PoseStamped"
 )
 
 
 def test_keys_and_tokens():
-    kind = f"geometry_msgs::msg::dds_::PoseStamped_/RIHS01_{MESSAGE_HASHES['geometry_msgs/PoseStamped']}"
+    kind = f"geometry_msgs::msg::dds_::PoseStamped_/RIHS01_{TYPE_HASHES['geometry_msgs/msg/PoseStamped']}"
     assert POSES.key == f"0/drone3/pose/{kind}"
     assert (
         POSES.token
@@ -125,3 +160,43 @@ def test_an_attachment():
     assert data[17:] == digest[:7:-1] + digest[7::-1], (
         "the lower half first, each little-endian"
     )
+
+
+@pytest.mark.parametrize(
+    ("kind", "topic", "type_name"),
+    [
+        (EndpointKind.PUBLISHER, "/drone3/pose", "geometry_msgs/msg/PoseStamped"),
+        (
+            EndpointKind.SUBSCRIPTION,
+            "/drone3/goal_pose",
+            "geometry_msgs/msg/PoseStamped",
+        ),
+        (EndpointKind.SERVICE, "/crazychoir/land", "std_srvs/srv/Trigger"),
+    ],
+)
+def test_two_other_programs_write_the_same_keys_and_tokens(kind, topic, type_name):
+    endpoint = Endpoint(7, "aabb", "crazychoir", 5, topic, type_name, kind)
+    rihs = f"RIHS01_{TYPE_HASHES[type_name]}"
+    assert endpoint.key == ros2.entity_key(7, topic, type_name, rihs)
+    node = NodeEntity(7, "aabb", 0, "crazychoir")
+    theirs = EndpointEntity(
+        node,
+        5,
+        EntityKind(kind.value),
+        topic,
+        ros2_to_dds_type(type_name),
+        rihs,
+        QosProfile().encode(),
+    )
+    assert endpoint.token == endpoint_liveliness_keyexpr(theirs)
+    assert ros2.percent_mangle(topic) in endpoint.token
+    assert node_token(7, "aabb", "crazychoir") == node_liveliness_keyexpr(node)
+
+
+def test_an_answer_has_the_number_and_the_client_of_its_request():
+    request = Attachment(41, NS, bytes(range(16))).to_bytes()
+    answer = Attachment.from_bytes(reply_attachment(request, NS + 5))
+    assert (answer.sequence_id, answer.timestamp_ns) == (41, NS + 5)
+    assert answer.gid == bytes(range(16))
+    with pytest.raises(struct.error):
+        reply_attachment(b"short", NS)

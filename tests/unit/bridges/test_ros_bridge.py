@@ -8,12 +8,12 @@ import pytest
 from ros2_decoders import fields
 from rosbags.typesys import Stores, get_typestore
 
+from crazychoir.bridges.ros_bridge import ROS_BRIDGE, RosBridge, serve
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import DRONE_TOPICS
-from crazychoir.cli.recordings.ros import ROS_BRIDGE, RosBridge, serve
 from crazychoir.cli.shared.observer import Window
 from crazychoir.config.swarm_config import default_swarm
-from crazychoir.recording.ros.rmw_zenoh import RMW_ZENOH, Publisher
+from crazychoir.recording.ros.rmw_zenoh import RMW_ZENOH, Endpoint
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.types import State
 
@@ -24,7 +24,7 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 @pytest.fixture(autouse=True)
 def without_digests(monkeypatch):
     """Replace the digest that names a publisher: not every machine has the library for it."""
-    monkeypatch.setattr(Publisher, "gid", bytes(RMW_ZENOH.gid_size))
+    monkeypatch.setattr(Endpoint, "gid", bytes(RMW_ZENOH.gid_size))
 
 
 class Outside:
