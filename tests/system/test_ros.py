@@ -55,20 +55,20 @@ def test_what_a_router_of_ros_hears(router):
     store = get_typestore(Stores.ROS2_JAZZY)
     with OutsideSession(endpoint) as outside:
         bridge = RosBridge(outside, 0, [3, 5])
-        until(lambda: len(tokens) == 7)
+        until(lambda: len(tokens) == 11)
         assert all(f"/{outside.id}/" in token for token in tokens)
         assert sum("/NN/" in token for token in tokens) == 1
         bridge.publish({}, NS)
         for _ in range(2):
             bridge.publish({3: (State.at((1.0, 2.0, 3.0)), NS - 1)}, NS)
-        until(lambda: len(samples) == 7)
+        until(lambda: len(samples) == 9)
     heard = [
         (str(s.key_expr).split("/"), s.payload.to_bytes(), s.attachment.to_bytes())
         for s in samples
     ]
     topics = ["/".join(key[1:-2]) for key, *_ in heard]
     assert sorted(topics) == sorted(
-        2 * ["drone3/pose", "tf", "drones"] + ["drone3/path"]
+        2 * ["drone3/pose", "drone3/odom", "tf", "drones"] + ["drone3/path"]
     )
     for key, data, attachment in heard:
         package, kind = key[-2].removesuffix("_").split("::msg::dds_::")

@@ -77,9 +77,10 @@ async def fly_by_both(peer, bridge, server, layout):
     async with foxglove_client(port, channels=27) as client:
         await client.subscribe("/tf", "/scene", "/drone1/status")
         await until(lambda: all(peer.heard.values()), 120.0, lambda: bridge.text)
-        assert {
-            name: [kind] for name, kind in TOPICS.items()
-        }.items() <= peer.topics().items()
+        listed = {name: [kind] for name, kind in TOPICS.items()}
+        await until(
+            lambda: listed.items() <= peer.topics().items(), 60.0, lambda: bridge.text
+        )
         up = await asyncio.to_thread(peer.trigger, "/crazychoir/take_off")
         assert up.success, up.message
         goals = await asyncio.to_thread(
@@ -95,7 +96,7 @@ async def fly_by_both(peer, bridge, server, layout):
 
         await until(
             lambda: np.linalg.norm(position() - place) < 0.1,
-            15.0,
+            60.0,
             lambda: str(position()),
         )
         seen = {one["child_frame_id"]: one for one in client.last("/tf")["transforms"]}
