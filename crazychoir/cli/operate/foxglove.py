@@ -66,7 +66,7 @@ def foxglove(
         if key is not None:
             window.require_operator()
         if layout is not None:
-            _write_layout(layout, window.config.ids, key or "")
+            write_layout(layout, window.config.ids, key or "")
         await serve_foxglove(
             window,
             port,
@@ -87,7 +87,7 @@ def foxglove(
         raise typer.Exit(0) from None
 
 
-def _write_layout(path: Path, drones: tuple[int, ...], key: str) -> None:
+def write_layout(path: Path, drones: tuple[int, ...], key: str) -> None:
     """Write the layout for these drones; raise ConfigError if it cannot be written."""
     from crazychoir.bridges.foxglove_layout import make_layout
 
