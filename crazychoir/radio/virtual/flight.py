@@ -3,6 +3,7 @@
 The firmware's units become the SI units of the model.
 """
 
+import math
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -23,6 +24,7 @@ from crazychoir.radio.protocol.crtp import (
     Packet,
     PacketForm,
 )
+from crazychoir.radio.protocol.packed_poses import PACKED_POSES, PACKED_POSITIONS
 from crazychoir.radio.protocol.receive_buffer import FirmwareAssertion, ReceivedPacket
 from crazychoir.radio.virtual.commands import (
     COMMAND_FUNCTIONS,
@@ -40,9 +42,9 @@ class FormlessPackets:
 
     short_lpp: int = 2
     """Command of LOCALIZATION's channel 1: a packet for an anchor."""
-    packed_pose: int = 9
+    packed_pose: int = PACKED_POSES.head[0]
     """Command of LOCALIZATION's channel 1: packed poses."""
-    position_channel: int = 2
+    position_channel: int = PACKED_POSITIONS.channel
     """Channel of packed positions."""
     located: tuple[int, ...] = (short_lpp, packed_pose)
     """Commands of LOCALIZATION's channel 1 that have no form."""
@@ -77,12 +79,6 @@ class SpecialForms:
 SPECIAL_FORMS = SpecialForms()
 
 
-_PACKED_POSE_LAYOUT = struct.Struct("<BhhhI")
-"""Layout of a packed pose."""
-_PACKED_POSITION_LAYOUT = struct.Struct("<Bhhh")
-"""Layout of a packed position."""
-
-
 CAREFREE_MODE = 0
 """Value of flightmode.yawMode for which the firmware has no code (crtp_commander_rpyt.c)."""
 
@@ -110,6 +106,38 @@ class VersionService:
                 PLATFORM_REQUESTS.version_channel,
                 answer[: CRTP_FORMAT.payload_size],
             )
+
+
+class ToldPoses:
+    """Counts the poses and positions that a drone is told, and measures the time between them.
+
+    onboard: model of the firmware, for its clock
+    """
+
+    def __init__(self, onboard: Onboard) -> None:
+        self.count = 0
+        """Poses and positions so far."""
+        self.last: tuple[float, ...] = ()
+        """Last pose (7,) or position (3,)."""
+        self.longest_gap = 0.0
+        """s: longest time between two of them."""
+        self._onboard = onboard
+        self._tick: int | None = None
+
+    def note(self, told: tuple[float, ...]) -> None:
+        """Count a pose or a position."""
+        if self._tick is not None:
+            self.longest_gap = max(self.longest_gap, self.age)
+        self._tick = int(self._onboard.record["tick"])
+        self.count = self.count + 1
+        self.last = told
+
+    @property
+    def age(self) -> float:
+        """s since the last one; infinite before the first."""
+        if self._tick is None:
+            return math.inf
+        return 1e-3 * (int(self._onboard.record["tick"]) - self._tick)
 
 
 class FlightService:
@@ -140,14 +168,14 @@ class FlightService:
             self._forms[form.port, form.channel, form.head[0] if form.head else -1] = (
                 form
             )
-        self.zeros = self.malformed = self.unknown = self.poses = 0
-        """Counts: RPYT packets of zeros, wrong lengths, unknown packets, poses from outside."""
+        self.zeros = self.malformed = self.unknown = 0
+        """Counts: RPYT packets of zeros, wrong lengths, unknown packets."""
+        self.told = ToldPoses(onboard)
+        """Poses and positions from outside."""
         self.last = ""
         """Kind of the last set-point."""
         self.refuses = False
         """True while a fault refuses arming."""
-        self.external: tuple[float, ...] = ()
-        """Last pose (7,) or position (3,) from outside."""
         self.planned_at: int | None = None
         """ms of the last plan that waits for the end of set-points; None without one."""
         self.undefined: int | None = None
@@ -165,7 +193,7 @@ class FlightService:
             case (CrtpPort.SUPERVISOR, 0):
                 yield from self._tell_supervision(data)
             case (CrtpPort.LOCALIZATION, FORMLESS_PACKETS.position_channel):
-                self._packed(data, _PACKED_POSITION_LAYOUT)
+                self._packed(data, PACKED_POSITIONS.entry)
             case (CrtpPort.LOCALIZATION | CrtpPort.SUPERVISOR, 1) if not data:
                 self.unknown += 1
             case (CrtpPort.LOCALIZATION, 1) if data[0] in FORMLESS_PACKETS.located:
@@ -179,7 +207,7 @@ class FlightService:
         """Take a packet for anchors, or packed poses."""
         port, channel, data, _ = packet
         if data[0] == FORMLESS_PACKETS.packed_pose:
-            self._packed(data[1:], _PACKED_POSE_LAYOUT)
+            self._packed(data[1:], PACKED_POSES.entry)
         elif len(data) > 1:
             # The answer says that the packet was not passed on: there is no anchor.
             yield Packet(port, channel, data[:2] + b"\0")
@@ -334,14 +362,12 @@ class FlightService:
 
     def pose(self, p: Any, q: Any) -> None:
         """Take a pose from outside: p in m, and a quaternion."""
-        self.poses = self.poses + 1
-        self.external = (*p, *q)
+        self.told.note((*p, *q))
         self.onboard.external_pose(np.array(p, float), np.array(q, float))
 
     def position(self, p: Any) -> None:
         """Take a position from outside, m."""
-        self.poses = self.poses + 1
-        self.external = tuple(p)
+        self.told.note(tuple(p))
         self.onboard.external_position(np.array(p, float))
 
     def _packed(self, body: bytes, layout: struct.Struct) -> None:

@@ -97,6 +97,7 @@ class ServerQuestions:
         row = self._world.row[i]
         world = self._world
         drone = port.drone
+        told = drone.flight.told
         x = self._world.states[self._world.row[i]]
         record = self._world.onboard[i].record
         up = 1.0 - 2.0 * (x[6] ** 2 + x[7] ** 2)
@@ -112,7 +113,9 @@ class ServerQuestions:
             "vbat": world.vbat(i),
             "zeros": drone.flight.zeros,
             "last": drone.flight.last,
-            "poses": drone.flight.poses,
+            "poses": told.count,
+            "pose_age": told.age if told.count else None,
+            "longest_pose_gap": told.longest_gap,
             "crashed": world.harm(i),
             "tumbled": bool(up < 0.5),
             "resting": world.resting(i),

@@ -89,7 +89,7 @@ def _link_readings(me: DroneParts) -> Readings:
     external = {"x": 0, "y": 1, "z": 2, "qx": 3, "qy": 4, "qz": 5, "qw": 6}
 
     def said(k: int) -> float:
-        return me.flight.external[k] if k < len(me.flight.external) else 0.0
+        return me.flight.told.last[k] if k < len(me.flight.told.last) else 0.0
 
     return {
         "radio.rssi": lambda: FIXED_READINGS.rssi,

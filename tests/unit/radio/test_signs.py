@@ -223,7 +223,7 @@ def test_packed_poses_are_for_the_number_that_they_name():
         )
     )
     assert hangar.onboard.estimate.p[0] == pytest.approx(-0.25, abs=0.01)
-    assert hangar.drone.flight.poses == 1
+    assert hangar.drone.flight.told.count == 1
 
 
 def test_an_old_release_has_another_thrust_map():

@@ -31,7 +31,7 @@ def test_the_drone_hears_the_positions_of_the_others(packet):
     av = hangar.onboard.record["avoidance"]
     assert av["peers"].tolist() == [PEER] + 9 * [0]
     assert av["positions"][0] == pytest.approx([0.5, -0.02, 0.6])
-    assert hangar.drone.flight.poses == 1
+    assert hangar.drone.flight.told.count == 1
     assert hangar.log("stateEstimate.x") == pytest.approx(0.1, abs=0.01)
 
 
