@@ -11,8 +11,9 @@ from types import SimpleNamespace
 
 import usb.core
 
-CHANNEL, ADDRESS, RATE, ARC = 0x01, 0x02, 0x03, 0x06
+CHANNEL, ADDRESS, RATE, ARC, ACK, INLINE = 0x01, 0x02, 0x03, 0x06, 0x10, 0x23
 """Requests of a Crazyradio that change what its next packet does."""
+BROADCAST = bytes.fromhex("FFE7E7E7E7")
 NULL, SAFELINK = 0xF3, 0x05
 RSSI = 40
 """-dBm that a drone says it hears."""
@@ -71,15 +72,18 @@ class Receiver:
 class FakeDongle:
     """One, as pyusb's device.
 
-    drones: by (channel, address), as (80, "E7E7E7E701");  exchanges: so many a second;  used: exchanges so far.
+    drones: by (channel, address), as (80, "E7E7E7E701");  exchanges: so many a second;  used: exchanges so far;
+    change: s that it takes to be told another setting;  inline: whether it takes them with each packet.
     """
 
-    bcdDevice, serial_number = 0x0550, "FAKE"
+    serial_number = "FAKE"
 
-    def __init__(self, drones, exchanges=250.0, seed=0):
+    def __init__(self, drones, exchanges=250.0, seed=0, change=0.0, inline=False):
         self.drones, self.exchanges, self.used, self.there = drones, exchanges, 0, True
+        self.change, self.inline, self.changes, self.broadcasts = change, inline, 0, 0
+        self.bcdDevice = 0x0510 if inline else 0x0055
         self._ctx = SimpleNamespace(dispose=lambda device: None)
-        self._channel, self._address = 2, b""
+        self._channel, self._address, self._acks, self._told = 2, b"", True, False
         self._draw, self._free, self._answer = random.Random(seed), 0.0, b""  # noqa: S311 - of losses
         self._users = threading.Lock()
 
@@ -101,15 +105,56 @@ class FakeDongle:
             self._channel = wValue
         elif request == ADDRESS:
             self._address = bytes(data_or_wLength)
+        elif request == ACK:
+            self._acks = bool(wValue)
+        elif request == INLINE:
+            if not self.inline:
+                raise usb.core.USBError("Pipe error", -9, 32)
+            self._told = bool(wValue)
+        if request in (CHANNEL, ADDRESS, RATE, ACK):
+            assert not self._told, "this ends its inline mode"
+            self.changes += 1
+            self._pass(self.change)
+
+    def _pass(self, seconds):
+        """So long is it busy."""
+        now = time.monotonic()
+        self._free = max(self._free, now) + seconds
+        time.sleep(max(self._free - now, 0.0))
 
     def write(self, endpoint, data, timeout):
         self._require()
         assert self._users.acquire(blocking=False), "two threads use the dongle at once"
-        now = time.monotonic()
-        self._free = max(self._free, now) + 1.0 / self.exchanges
-        time.sleep(self._free - now)
-        self.used += 1
-        self._answer = self._exchange(bytes(data))
+        self._pass(1.0 / self.exchanges)
+        data = bytes(data)
+        if self._told:
+            assert data[0] == len(data)
+            assert data[1] & 0x0F == 2
+            self._acks, self._channel, self._address = (
+                bool(data[1] & 0x10),
+                data[2],
+                data[3:8],
+            )
+            data = data[8:]
+        if self._acks:
+            self.used += 1
+            answer = self._exchange(data)
+        else:
+            self._spread(data)
+            answer = b"\0"
+        self._answer = bytes([1 + len(answer)]) + answer if self._told else answer
+        if not (self._acks or self._told):
+            self._users.release()  # it has no answer
+
+    def _spread(self, packet):
+        """Send a packet that no drone acknowledges to all that hear it."""
+        assert self._address == BROADCAST
+        self.broadcasts += 1
+        for (channel, _), drone in self.drones.items():
+            if channel == self._channel and not (
+                drone.silent or self._draw.random() < drone.loss
+            ):
+                drone._take(packet)
 
     def _exchange(self, packet):
         drone = self.drones.get((self._channel, self._address.hex().upper()))

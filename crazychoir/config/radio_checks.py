@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from crazychoir.config.reader import show_value
 from crazychoir.config.tables import DroneTable, Swarm
@@ -14,6 +13,11 @@ from crazychoir.config.uris import (
     udp_uri,
 )
 from crazychoir.errors import ConfigError
+
+LEAST_OWN_POSE_RATE = 25.0
+"""Least Hz at which a drone must report its own pose if no camera sees it."""
+FIRST_UDP_NUMBER = 0xE7
+"""Number of the virtual drone 0 in packets with several poses; the number of drone k is k higher."""
 
 
 def has_radio(drone: DroneTable) -> bool:
@@ -41,6 +45,23 @@ def _dongle(drone: DroneTable) -> int:
         return drone.dongle
     found = radio_uri(drone.uri)
     return int(found.dongle) if found else 0
+
+
+def address_number(drone: DroneTable) -> int:
+    """Return the number by which a drone knows its own pose among others: the last byte of its address."""
+    found = radio_uri(drone.uri)
+    if found:
+        return int(found.address[-2:], 16)
+    return (FIRST_UDP_NUMBER + drone.id) % 256
+
+
+def radio_settings(drone: DroneTable) -> tuple[int, str]:
+    """Return the channel and the data rate of a drone; of a udp:// drone those of no radio.
+
+    A broadcast reaches the drones with the same settings.
+    """
+    found = radio_uri(drone.uri)
+    return (found.channel, found.rate) if found else (-1, "")
 
 
 def check_radios(swarm: Swarm, where: str) -> None:
@@ -88,12 +109,35 @@ def check_radios(swarm: Swarm, where: str) -> None:
             problem = f"its uri says dongle {found.dongle}"
             do = "Leave dongle out, or correct one of them."
             raise ConfigError(f"{key}.dongle", drone.dongle, found.dongle, do, problem)
+    _check_numbers(swarm, where)
     _parameters(swarm.radio.parameters, f"{where}: radio.parameters")
     for n, drone in enumerate(swarm.drones):
         _parameters(drone.parameters, f"{where}: drones[{n}].parameters")
     _own_poses(swarm, where)
     _radio_hosts(swarm, where)
     _check_bodies(swarm, where)
+
+
+def _check_numbers(swarm: Swarm, where: str) -> None:
+    """Raise ConfigError for two drones that would take each other's pose out of a broadcast."""
+    if swarm.radio.broadcast is False:
+        return
+    seen = set(camera_drones(swarm))
+    first: dict[tuple[object, ...], int] = {}
+    for n, drone in enumerate(swarm.drones):
+        if drone.id not in seen or not drone.uri.startswith(RADIO_SCHEME):
+            continue  # by UDP a drone is sent the packets of its own dongle only
+        number = address_number(drone)
+        key = (*radio_settings(drone), number)
+        if key in first:
+            raise ConfigError(
+                f"{where}: drones[{n}].uri",
+                show_value(drone.uri),
+                "on each channel, addresses with different last bytes",
+                "Give it another address, or set broadcast = false in [radio].",
+                f"drones[{first[key]}] has the last byte {number:02X}, too, and would take this drone's pose",
+            )
+        first[key] = n
 
 
 def _parameters(table: Mapping[str, object], where: str) -> None:
@@ -168,49 +212,17 @@ def _own_poses(swarm: Swarm, where: str) -> None:
         if (
             has_radio(drone)
             and drone.pose == "onboard"
-            and swarm.radio.log_rate < RADIO_TRAFFIC.least_own_pose_rate
+            and swarm.radio.log_rate < LEAST_OWN_POSE_RATE
         ):
             problem = f"drones[{n}] sends its own pose, and brakes if the pose is older than 0.1 s"
-            do = f"Set log_rate = {RADIO_TRAFFIC.least_own_pose_rate:g} in [radio]; more if the dongle can carry it."
+            do = f"Set log_rate = {LEAST_OWN_POSE_RATE:g} in [radio]; more if the dongle can carry it."
             raise ConfigError(
                 f"{where}: radio.log_rate",
                 swarm.radio.log_rate,
-                f"{RADIO_TRAFFIC.least_own_pose_rate:g} Hz or more",
+                f"{LEAST_OWN_POSE_RATE:g} Hz or more",
                 do,
                 problem,
             )
-
-
-@dataclass(frozen=True, slots=True)
-class RadioTraffic:
-    """Packets a second that drones need, and the share of the capacity of a dongle that is used."""
-
-    least_own_pose_rate: float = 25.0
-    """Least Hz at which a drone must report its own pose if no camera sees it."""
-    echo_rate: float = 10.0
-    """Packets a second and drone: echoes."""
-    planner_rate: float = 10.0
-    """Packets a second and drone: lines for the planner on board."""
-    request_rate: float = 2.0
-    """Packets a second and drone: other requests."""
-    least_attitude_rate: float = 20.0
-    """Least Hz at which a drone that cameras see reports its attitude."""
-    uncertainty_rate: float = 10.0
-    """Hz at which a drone that estimates its own pose reports the uncertainty of it."""
-    single_drone_capacity: float = 1000.0
-    """Packets a second of a dongle that reaches one drone, and so never changes its channel and
-    address. Source: reports of users of cflib; it was not measured here.
-    """
-    planned_share: float = 0.85
-    """Share of the capacity that is used if the rate is chosen here.
-
-    Close to 1, packets wait for each other.
-    """
-    largest_command_rate: float = 100.0
-    """Hz: one command for each pose."""
-
-
-RADIO_TRAFFIC = RadioTraffic()
 
 
 def _radio_hosts(swarm: Swarm, where: str) -> None:
@@ -251,161 +263,3 @@ def _radio_hosts(swarm: Swarm, where: str) -> None:
                 "Correct the name.",
                 "there is no such host",
             )
-
-
-LEAST_COMMAND_RATES = {"fpqr": 50.0, "frpy": 30.0, "vel": 10.0, "fullstate": 20.0}
-"""Least Hz of set-points, by the kind of command; a drone does not fly with fewer."""
-
-
-def capacity_of(swarm: Swarm, dongle: int) -> float:
-    """Return the packets a second of a dongle, from its row, else from [radio].
-
-    A dongle that never changes its channel has at least single_drone_capacity.
-    """
-    row = next((row for row in swarm.radio.dongles if row.dongle == dongle), None)
-    capacity = (
-        row.capacity
-        if row is not None and row.capacity is not None
-        else swarm.radio.capacity
-    )
-    return (
-        max(capacity, RADIO_TRAFFIC.single_drone_capacity)
-        if len(drones_by_dongle(swarm)[dongle]) == 1
-        else capacity
-    )
-
-
-def carried_rate(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> float:
-    """Return the Hz of set-points of each streamed drone that a dongle reaches.
-
-    senders: {drone: kind of command}
-
-    The packets of a drone ride on the acknowledgements of the packets to it, one on each: they must
-    fit, too.
-    Raises ConfigError, with the numbers, if the dongle cannot carry either direction.
-    """
-    radio = swarm.radio
-    ids = drones_by_dongle(swarm)[dongle]
-    capacity = capacity_of(swarm, dongle)
-    _check_uplink(swarm, dongle, senders)
-    streamed = [i for i in ids if senders[i] in LEAST_COMMAND_RATES]
-    poses = (
-        radio.pose_rate
-        if all(_is_sent_poses(swarm, i) for i in ids)
-        else max(radio.pose_rate, radio.log_rate)
-    )
-    beside = len(ids) * (
-        poses + RADIO_TRAFFIC.echo_rate + RADIO_TRAFFIC.request_rate
-    ) + RADIO_TRAFFIC.planner_rate * (len(ids) - len(streamed))
-    least = max((LEAST_COMMAND_RATES[senders[i]] for i in streamed), default=0.0)
-    spare = (
-        (RADIO_TRAFFIC.planned_share * capacity - beside) / len(streamed)
-        if streamed
-        else 0.0
-    )
-    rate = radio.command_rate or min(
-        math.floor(spare), RADIO_TRAFFIC.largest_command_rate
-    )
-    most = capacity if streamed else RADIO_TRAFFIC.planned_share * capacity
-    if rate >= least and beside + rate * len(streamed) <= most:
-        return rate
-    asked = max(rate, least)
-    fits = math.floor((most - beside) / len(streamed)) if streamed else 0
-    kinds = ", ".join(sorted({senders[i] for i in ids}))
-    if 0.0 < radio.command_rate < least <= fits:
-        allowed = (
-            f"{least:g} to {fits} Hz, for what is sent by dongle {dongle} ({kinds})"
-        )
-        raise ConfigError(
-            "radio.command_rate",
-            rate,
-            allowed,
-            "Leave it out to choose the rate automatically.",
-        )
-    found = f"drones {', '.join(map(str, ids))} ({kinds}) need {beside + asked * len(streamed):g} packets a second"
-    sums = f"{len(streamed)} x {asked:g} set-points, " if streamed else ""
-    what = "poses" if poses == radio.pose_rate else "logs"
-    each = f"{len(ids)} x {poses + RADIO_TRAFFIC.echo_rate + RADIO_TRAFFIC.request_rate:g} {what}, echoes and requests"
-    plans = (
-        f", {len(ids) - len(streamed)} x {RADIO_TRAFFIC.planner_rate:g} plans"
-        if len(streamed) < len(ids)
-        else ""
-    )
-    spared = (
-        f"{max(spare, 0.0):.0f} set-points a second and drone"
-        if streamed
-        else _describe_spare_rate(capacity)
-    )
-    room = f"it carries {capacity:g}, {spared}"
-    less = (
-        _advise_fewer_commands(fits, least)
-        if streamed
-        else "send poses at a lower pose_rate ([radio]), "
-    )
-    do = f"Use more dongles, {less}or measure its capacity."
-    raise ConfigError(f"dongle {dongle}", found, room, do, f"{sums}{each}{plans}")
-
-
-def _advise_fewer_commands(fits: float, least: float) -> str:
-    """Return advice to need fewer set-points, or an empty text.
-
-    fits: Hz of set-points a drone that the dongle carries
-    least: Hz that the kind of command needs
-    """
-    if fits >= least:
-        return f"set command_rate = {least:g} to {fits:g} ([radio]), "
-    lighter = [kind for kind, rate in LEAST_COMMAND_RATES.items() if rate <= fits]
-    return f"send {' or '.join(lighter)} ({fits:g} Hz at most), " if lighter else ""
-
-
-def _check_uplink(swarm: Swarm, dongle: int, senders: Mapping[int, str]) -> None:
-    """Raise ConfigError if the packets from the drones of a dongle do not fit.
-
-    They would wait on board and grow old, and answers with them.
-    """
-    ids = drones_by_dongle(swarm)[dongle]
-    log_rate = swarm.radio.log_rate
-    asked = sum(
-        row.rate
-        for row in swarm.logs
-        for i in ids
-        if row.drones is None or i in row.drones
-    )
-    logs = asked + sum(
-        max(log_rate, RADIO_TRAFFIC.least_attitude_rate)
-        if _is_sent_poses(swarm, i)
-        else log_rate + RADIO_TRAFFIC.uncertainty_rate
-        for i in ids
-    )
-    plans = sum(senders[i] not in LEAST_COMMAND_RATES for i in ids)
-    said = (
-        logs
-        + len(ids) * (RADIO_TRAFFIC.echo_rate + RADIO_TRAFFIC.request_rate)
-        + plans * RADIO_TRAFFIC.planner_rate
-    )
-    carries = capacity_of(swarm, dongle)
-    if said <= RADIO_TRAFFIC.planned_share * carries:
-        return
-    kinds = ", ".join(sorted({senders[i] for i in ids}))
-    found = f"drones {', '.join(map(str, ids))} ({kinds}) say {said:g} packets a second"
-    answers = f"{len(ids)} x {RADIO_TRAFFIC.echo_rate + RADIO_TRAFFIC.request_rate:g} echoes and answers"
-    answers += f", {plans} x {RADIO_TRAFFIC.planner_rate:g} to plans" if plans else ""
-    room = f"it carries {carries:g}, {_describe_spare_rate(carries)}"
-    less = "lower rates in [[logs]], " if asked else ""
-    less += (
-        "a lower log_rate ([radio]), "
-        if log_rate > RADIO_TRAFFIC.least_attitude_rate
-        or not all(_is_sent_poses(swarm, i) for i in ids)
-        else ""
-    )
-    do = f"Use more dongles, {less}or measure its capacity."
-    raise ConfigError(f"dongle {dongle}", found, room, do, f"{logs:g} logs, {answers}")
-
-
-def _describe_spare_rate(capacity: float) -> str:
-    return f"{RADIO_TRAFFIC.planned_share * capacity:g} with room to spare"
-
-
-def _is_sent_poses(swarm: Swarm, i: int) -> bool:
-    """Return True if drone i is sent its pose, False if it reports its own."""
-    return next(drone for drone in swarm.drones if drone.id == i).pose == "mocap"

@@ -639,6 +639,8 @@ class DongleTable(SwarmTable, frozen=True, kw_only=True):
     """Host to which the dongle is plugged."""
     capacity: Packets | None = None
     """Packets a second; without it the capacity of [radio]."""
+    inline: Flag | None = None
+    """As in [radio], for this dongle."""
 
 
 Dongles = Annotated[
@@ -653,8 +655,16 @@ Dongles = Annotated[
 class RadioTable(SwarmTable, frozen=True, kw_only=True):
     """[radio]: the connection to drones with a uri udp:// or radio://."""
 
-    capacity: Packets = 250.0
-    """Packets a second of a dongle that several drones share."""
+    capacity: Packets | None = None
+    """Packets a second of a dongle, if each goes to another drone than the last; without it 250, or
+    1250 with inline.
+    """
+    inline: Flag = False
+    """True for a Crazyradio 2.0 with firmware 5.1 or newer: it changes from drone to drone at once."""
+    broadcast: Flag | None = None
+    """True: one packet carries the poses of two drones, to all drones of a dongle. False: each drone
+    is sent its own. Without it the way that needs less time.
+    """
     command_rate: Rate = 0.0
     """Hz of set-points; 0: as many as the dongles carry, but at most one command for each pose."""
     pose_rate: PoseRate = 10.0

@@ -11,12 +11,13 @@ from typing import Any
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.checks import limit_area
-from crazychoir.config.radio_checks import capacity_of
+from crazychoir.config.dongle_plan import capacity_of, is_inline
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.control.robots import find_sender
 from crazychoir.errors import Refused, error_text
-from crazychoir.radio.budget import compute_setpoint_rates
+from crazychoir.radio.budget import plan_dongles
 from crazychoir.radio.drone.firmware_access import FirmwareAccess
+from crazychoir.radio.drone.pose_broadcast import PoseBroadcast
 from crazychoir.radio.drone.radio_drone import RadioDrone, SharedRadio
 from crazychoir.radio.drone.timing import LINK_CHECK_RATE, SILENCE_LIMITS
 from crazychoir.radio.link.dongles import PROCESS_DONGLES
@@ -75,13 +76,23 @@ class RadioProcess(Actor):
         self.dongle = dongle
         self.bus = Bus(clock, process=process, host=host)
         self.ids = config.topology.dongles[dongle]
-        rate = compute_setpoint_rates(config)[dongle]
+        self.plan = plan_dongles(config)[dongle]
+        """What the dongle sends."""
+        rate = self.plan.setpoint_rate
+        self.broadcast = (
+            PoseBroadcast(clock, config.radio.pose_rate)
+            if self.plan.broadcasts
+            else None
+        )
+        """Tells the poses of all drones; None: each drone is sent its own."""
         for i in self.ids:
             self.bus.port(PORT_ADDRESSES.body_offset + i, incarnation)
         shared = SharedRadio(
             TableOfContents(tables_folder()),
             self._turns().turn,
             BodySights(self.bus, config, PORT_ADDRESSES.body_offset + self.ids[0]),
+            self.broadcast,
+            self.plan.echo_rate,
         )
         self.drones = {
             i: RadioDrone(
@@ -125,14 +136,16 @@ class RadioProcess(Actor):
 
         Packets that wait in the dongle become old.
         """
-        return SendPacer(
-            self.clock,
-            OWNER_LIMITS.capacity_share * capacity_of(self.config, self.dongle),
-        )
+        carried = max(capacity_of(self.config, self.dongle), self.plan.packet_rate)
+        return SendPacer(self.clock, OWNER_LIMITS.capacity_share * carried)
 
     async def serve(self, *services: Actor) -> None:
         """Run the drones and services until the owner ends."""
-        await self._supervisor.run([*services, *self.drones.values(), self])
+        try:
+            await self._supervisor.run([*services, *self.drones.values(), self])
+        finally:
+            if self.broadcast is not None:
+                self.broadcast.end()
 
     async def run(self) -> None:
         """Publish the state of the links, and look after drones that receive no commands."""
@@ -164,12 +177,25 @@ class RadioProcess(Actor):
         before = self._missing
         self._missing = PROCESS_DONGLES.failure(self.config.drone(self.ids[0]).uri)
         if not self._missing:
+            self._require_inline()
             return
         used = any(math.isfinite(drone.link.silence) for drone in self.drones.values())
         if before and (used or age > self.config.radio.connect_deadline):
             self.abort(self._missing)
         elif not (before or used):
             log.error("dongle %d: %s", self.dongle, self._missing)
+
+    def _require_inline(self) -> None:
+        """End this process if the dongle cannot do what the swarm file says: it was planned with it."""
+        uri = self.config.drone(self.ids[0]).uri
+        if (
+            is_inline(self.config, self.dongle)
+            and PROCESS_DONGLES.is_inline(uri) is False
+        ):
+            self.abort(
+                "its swarm file says inline = true, but this is no Crazyradio 2.0 with firmware 5.1 or newer. "
+                "Update its firmware, or set inline = false"
+            )
 
     def _keep_inside(self, i: int, body: RemoteBody) -> None:
         """Cut the motors of a drone beyond the limit area while its agent is silent.
@@ -241,6 +267,8 @@ class RadioProcess(Actor):
             "reason": self.failure,
             "dongle": self.dongle,
             "setpoints_hz": self.rate,
+            "planned_load": self.plan.load,
+            "poses": self._describe_poses(),
             "drones": {
                 i: {
                     "state": drone.link.state,
@@ -251,4 +279,14 @@ class RadioProcess(Actor):
                 }
                 for i, drone in self.drones.items()
             },
+        }
+
+    def _describe_poses(self) -> dict[str, Any] | None:
+        """Return how many poses were broadcast, and how old they were then; None without broadcasts."""
+        if self.broadcast is None:
+            return None
+        age = self.broadcast.age
+        return {
+            "broadcast": self.broadcast.sent,
+            "age_s": None if math.isnan(age) else round(age, 4),
         }

@@ -10,15 +10,19 @@ import threading
 from functools import partial
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from cflib.drivers import crazyradio
 from fake_dongle import FakeDongle, Receiver
 from system.hall import udp_block
 
+from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import LinkFailed
 from crazychoir.planning.minimum_snap import minimum_snap
 from crazychoir.planning.upload import fit_upload
+from crazychoir.radio.drone.drone_setup import DroneSetup
+from crazychoir.radio.drone.pose_broadcast import PoseBroadcast, ToldPose
 from crazychoir.radio.drone.timing import CONNECT_ATTEMPTS
 from crazychoir.radio.link import drivers
 from crazychoir.radio.link.connection import Connection
@@ -28,9 +32,11 @@ from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.radio.owner import RadioProcess
 from crazychoir.radio.protocol.crtp import PACKET_FORMS, CrtpPort, Packet
 from crazychoir.radio.protocol.handlers import emergency_packets
+from crazychoir.radio.protocol.packed_poses import NumberedPose
 from crazychoir.radio.virtual.server import VirtualServer
 from crazychoir.radio.virtual.setup import place_on_grid
 from crazychoir.runtime.clock import WallClock
+from crazychoir.types import Pose
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 HOVER = PACKET_FORMS["hover"]
@@ -62,7 +68,7 @@ def plugged(*dongles):
 
 
 @contextlib.asynccontextmanager
-async def air(n, exchanges=1000.0, loss=0.0):
+async def air(n, exchanges=1000.0, loss=0.0, inline=False):
     """clock;  server: of virtual drones;  dongle: reaches them at addresses E7E7E7E700 and following, channel 80."""
     clock, port = WallClock(asyncio.get_running_loop()), udp_block(n)
     hall = place_on_grid(n, port, None)
@@ -70,7 +76,9 @@ async def air(n, exchanges=1000.0, loss=0.0):
     server.listen()
     running = asyncio.create_task(server.run())
     dongle = FakeDongle(
-        {(80, address(i)): Receiver(port + i, loss) for i in range(n)}, exchanges
+        {(80, address(i)): Receiver(port + i, loss) for i in range(n)},
+        exchanges,
+        inline=inline,
     )
     try:
         with plugged(dongle):
@@ -236,6 +244,36 @@ async def test_what_is_sent_in_order_arrives_once_and_in_order_whatever_is_lost(
         assert all(
             arrived(drone) == list(range(100)) for drone in there.dongle.drones.values()
         )
+        await closed(links)
+
+
+@pytest.mark.parametrize("inline", [False, True])
+async def test_one_broadcast_tells_all_drones_their_poses(known, inline) -> None:
+    """The drones fly by set-points meanwhile: acknowledged packets and broadcasts take turns."""
+    async with air(3, inline=inline) as there:
+        links = await opened(there, known, 3)
+        config = swarm(3, broadcast=True)
+        bus, broadcast = Bus(there.clock), PoseBroadcast(there.clock, 20.0)
+        for i in config.ids:
+            bus.port(PORT_ADDRESSES.body_offset + i)
+        setups = [DroneSetup(bus, config, i, "xyz", 0.0) for i in config.ids]
+        began = there.clock.now()
+        for k in range(50):
+            pose = Pose(np.array([0.0, 0.0, 0.01 * k, 0.0, 0.0, 0.0, 1.0]))
+            for setup, link in zip(setups, links, strict=True):
+                row = NumberedPose(there.server.seats[setup.drone].number, pose)
+                broadcast.tell(ToldPose(row, there.clock.now(), link, setup))
+            flood(links)
+            await asyncio.sleep(0.02)
+        broadcast.end()
+        most = 20.0 * (there.clock.now() - began) + 2.0
+        for drone in there.server.drones.values():
+            assert 10 <= drone.flight.told.count <= most, "20 times a second"
+            assert drone.flight.told.last[2] > 0.4
+            assert len(drone.flight.told.last) == 7
+        assert there.dongle.broadcasts >= 2 * 10, "two poses in a packet"
+        assert broadcast.age < 0.1
+        assert all(link.answered == 1.0 for link in links)
         await closed(links)
 
 

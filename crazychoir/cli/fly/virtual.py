@@ -57,7 +57,7 @@ def virtual(
     capacity: Annotated[
         float | None,
         options.real(
-            "Packets a second of a radio (else 250; 1000 with one drone).",
+            "Packets a second of a radio, each to another drone (else 250; 1000 with one drone).",
             least=1.0,
             most=1e6,
         ),

@@ -10,7 +10,10 @@ from crazychoir.mocap.view import RateLimit
 from crazychoir.radio.drone.current_link import CurrentLink
 from crazychoir.radio.drone.drone_setup import DroneSetup
 from crazychoir.radio.drone.own_estimate import OwnEstimate
+from crazychoir.radio.drone.pose_broadcast import PoseBroadcast, ToldPose
+from crazychoir.radio.link.connection import Connection
 from crazychoir.radio.protocol.handlers import pose_packet, position_packet
+from crazychoir.radio.protocol.packed_poses import NumberedPose
 from crazychoir.radio.visibility import SIGHT_LIMITS, BodySights, TakeOffWatch
 from crazychoir.runtime.mailbox import Call, Latest
 from crazychoir.safety.identity.pose_gate import PoseGate
@@ -23,6 +26,10 @@ class CameraPoseLimits:
 
     oldest_sent: float = 0.1
     """s: a drone is not told a pose that is older."""
+    largest_error: float = 0.2
+    """m: a drone that believes itself further away from the cameras' pose may have missed broadcasts.
+    It is also sent its own pose, which it acknowledges.
+    """
     oldest_used: float = 1.0
     """s for which the last pose from the cameras is used as the drone's position."""
     longest_jump: float = 0.1
@@ -39,6 +46,7 @@ class CameraView:
 
     sights: bodies that the cameras see, shared by all drones of the process; None: the drone makes
       its own
+    broadcast: tells the poses of all drones of the dongle; None: the drone is sent its own
     """
 
     def __init__(
@@ -47,6 +55,7 @@ class CameraView:
         link: CurrentLink,
         estimate: OwnEstimate,
         sights: BodySights | None,
+        broadcast: PoseBroadcast | None = None,
     ) -> None:
         self.place: tuple[float, Pose] | None = None
         """Time in s and pose at which the cameras last saw the drone, among accepted poses."""
@@ -64,6 +73,7 @@ class CameraView:
         self._clock = setup.clock
         self._link = link
         self._estimate = estimate
+        self._broadcast = broadcast
         self._told = RateLimit(setup.config.radio.pose_rate)
         self._jumped_at = math.inf
         if setup.seen_by_cameras:
@@ -102,18 +112,36 @@ class CameraView:
         if take_off is not None and take_off.found:
             return  # the drone lands with its own sensors
         connection = self._link.connection
-        if (
-            age <= CAMERA_POSE_LIMITS.oldest_sent
-            and connection is not None
-            and self._told.passes(now)
-        ):
-            is_watched = take_off is not None and take_off.watched
+        if age <= CAMERA_POSE_LIMITS.oldest_sent and connection is not None:
             try:
-                connection.newest(
-                    "pose", position_packet(pose) if is_watched else pose_packet(pose)
-                )
+                self._tell(connection, pose, now - age)
             except CodecError:
                 self.malformed += 1
+
+    def _tell(self, connection: Connection, pose: Pose, made: float) -> None:
+        """Tell the drone its pose; while its take-off is watched only its position.
+
+        made: s: when the cameras saw it
+        Raises CodecError if it does not fit into a packet.
+        """
+        is_watched = self.take_off is not None and self.take_off.watched
+        if self._broadcast is not None:
+            row = NumberedPose(self._setup.number, pose, not is_watched)
+            self._broadcast.tell(ToldPose(row, made, connection, self._setup))
+            if not self._is_lost(pose):
+                return
+        if self._told.passes(self._clock.now()):
+            connection.newest(
+                "pose", position_packet(pose) if is_watched else pose_packet(pose)
+            )
+
+    def _is_lost(self, pose: Pose) -> bool:
+        """Return whether the drone believes itself elsewhere."""
+        state = self._estimate.state
+        return (
+            state is not None
+            and math.dist(state.p, pose.p) > CAMERA_POSE_LIMITS.largest_error
+        )
 
     def _note_jump(self, now: float) -> None:
         """Note a pose that the gate does not believe.

@@ -4,6 +4,7 @@ import logging
 
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.config.calibrated import find_known_platform
+from crazychoir.config.radio_checks import address_number, radio_settings
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.safety.rules.guard import Throttle
 
@@ -35,6 +36,10 @@ class DroneSetup:
         self.platform = find_known_platform(self.row)
         self.seen_by_cameras = self.row.pose == "mocap"
         """Whether cameras tell the pose of the drone."""
+        self.number = address_number(self.row)
+        """Number of the drone in packets with the poses of several."""
+        self.radio_settings = radio_settings(self.row)
+        """Channel and data rate of the drone."""
         self._throttle = Throttle()
 
     def may_log(self, topic: str) -> bool:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.bus.topics import DRONE_TOPICS
-from crazychoir.config.radio_checks import RADIO_TRAFFIC
+from crazychoir.config.dongle_plan import RADIO_TRAFFIC
 from crazychoir.errors import LinkFailed
 from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.numerics.math3d import quaternion_of_yaw, quaternion_product

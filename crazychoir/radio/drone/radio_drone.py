@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.bus.port import Bus
+from crazychoir.config.dongle_plan import RADIO_TRAFFIC
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, LinkFailed
 from crazychoir.numerics.math3d import yaw_of
@@ -28,6 +29,7 @@ from crazychoir.radio.drone.landing_repeater import LandingRepeater
 from crazychoir.radio.drone.link_report import LinkReport
 from crazychoir.radio.drone.motor_switch import MotorSwitch
 from crazychoir.radio.drone.own_estimate import OwnEstimate
+from crazychoir.radio.drone.pose_broadcast import PoseBroadcast
 from crazychoir.radio.drone.preparation import Preparation
 from crazychoir.radio.drone.requested_logs import RequestedLogs
 from crazychoir.radio.drone.timing import (
@@ -61,6 +63,10 @@ class SharedRadio:
     """Waits until a packet may be sent."""
     sights: BodySights | None = None
     """Bodies that the cameras see; None: each drone makes its own."""
+    broadcast: PoseBroadcast | None = None
+    """Tells the poses of all drones; None: each drone is sent its own."""
+    echo_rate: float = RADIO_TRAFFIC.echo_rate
+    """Hz of echoes of each link."""
 
 
 class RadioDrone(Actor):
@@ -96,7 +102,7 @@ class RadioDrone(Actor):
         transmitter = CommandTransmitter(setup, link, handler)
         motors = MotorSwitch(setup, link, estimate, tasks)
         landing = LandingRepeater(setup, link, estimate, transmitter)
-        view = CameraView(setup, link, estimate, shared.sights)
+        view = CameraView(setup, link, estimate, shared.sights, shared.broadcast)
         preparation = Preparation(setup, handler, estimate)
         self.drone = i
         self.clock = bus.clock
@@ -135,6 +141,7 @@ class RadioDrone(Actor):
                 self.link.lose,
                 ConsoleReader(self.setup, self.landing.hear).hear,
                 self._shared.turn,
+                self._shared.echo_rate,
             )
             insists = asyncio.get_running_loop().create_task(
                 self.motors.insist(connection)

@@ -14,7 +14,7 @@ from functools import partial
 
 from cflib.crtp.crtpstack import CRTPPacket
 
-from crazychoir.config.radio_checks import RADIO_TRAFFIC
+from crazychoir.config.dongle_plan import RADIO_TRAFFIC
 from crazychoir.errors import LinkFailed, error_text
 from crazychoir.firmware.requests import LINK_CHANNELS, LOG_CHANNELS
 from crazychoir.radio.link import drivers
@@ -24,7 +24,7 @@ from crazychoir.radio.link.log_blocks import LogBlocks, LogCallback
 from crazychoir.radio.link.loop_caller import LoopCaller, resolve_waiting
 from crazychoir.radio.link.pending_requests import REQUEST_RETRY_PERIOD, PendingRequests
 from crazychoir.radio.link.quiet_crazyflie import make_quiet_crazyflie
-from crazychoir.radio.link.round_trips import RoundTrips
+from crazychoir.radio.link.round_trips import RoundTrips, send_echoes
 from crazychoir.radio.link.toc_cache import TableOfContents
 from crazychoir.radio.link.writer import PacketWriter
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
@@ -65,6 +65,7 @@ class Connection:
     lost: called with a reason when an open link has failed
     heard: called with each packet except logs and echoes
     turn: waits until a packet may be sent
+    echo_rate: Hz of echoes
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class Connection:
         lost: Callable[[str], None] = lambda reason: None,
         heard: Callable[[Packet], None] = lambda packet: None,
         turn: Callable[[], None] = lambda: None,
+        echo_rate: float = RADIO_TRAFFIC.echo_rate,
     ) -> None:
         drivers.register_drivers()
         self.clock = clock
@@ -85,6 +87,7 @@ class Connection:
         """dBm: signal strength of a radio; NaN if unknown."""
         self._lost = lost
         self._turn = turn
+        self._echo_rate = echo_rate
         self._loop = asyncio.get_running_loop()
         self._contents = contents
         self._calls = LoopCaller(self._loop)
@@ -134,7 +137,9 @@ class Connection:
         self._writer = PacketWriter(
             self.uri, self._driver.put, self._turn, partial(drivers.has_room, self.cf)
         )
-        self._echoing = self._loop.create_task(self._echo())
+        self._echoing = self._loop.create_task(
+            send_echoes(self.clock, self._echo_rate, self._trips, self.newest)
+        )
 
     async def _opens_within(self, seconds: float) -> bool:
         """Return whether the link opens in time; ask for the protocol version meanwhile.
@@ -163,14 +168,6 @@ class Connection:
             raise DongleFailed(self.uri, gone)
         if self.version < LEAST_VERSION:
             self._driver.put_in_thread(VERSION_REQUEST)
-
-    async def _echo(self) -> None:
-        """Send echoes as ordinary packets.
-
-        cflib's own thread for echoes competes with other packets, and hangs when the air is full.
-        """
-        async for _ in self.clock.ticks(RADIO_TRAFFIC.echo_rate):
-            self.newest("echo", self._trips.echo())
 
     def _open(self) -> None:
         """Open the link with cflib, which may never return."""
@@ -256,6 +253,10 @@ class Connection:
         """Send a packet in place of the waiting one of the same kind."""
         if self._writer is not None:
             self._writer.newest(kind, packet)
+
+    def send_at_once(self, packets: Iterable[Packet]) -> None:
+        """Put packets on the link without waiting for a turn; for drivers that do not block."""
+        self._driver.try_all(packets)
 
     def forget(self, kind: str) -> None:
         """Drop the waiting packet of this kind."""

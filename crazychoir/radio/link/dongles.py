@@ -7,14 +7,16 @@ links then wait for ever. Here such an error is kept, and reported with the dong
 
 import contextlib
 import threading
-from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from cflib.crtp import radiodriver
 
 from crazychoir.errors import LinkFailed, error_text
+from crazychoir.radio.link.dongle_radio import DongleRadio
+from crazychoir.radio.link.turns import DongleTurns
+from crazychoir.radio.protocol.crtp import PACKET_FORMS
 
 PLUG_ADVICE = "Plug a Crazyradio in, let your user open it (Bitcraze's udev rules), and end other programs that use it."
 """Advice for a missing dongle."""
@@ -36,6 +38,8 @@ class DonglePacing:
     """
     longest_pause: float = 0.01
     """s for each link of the dongle: limit of that time."""
+    longest_inline_pause: float = 0.003
+    """The same, for a dongle that takes its settings with each packet: its polls take less time."""
     missed_limit: int = 5
     """Packets in a row without an acknowledgement, after which the link sends more rarely too.
     """
@@ -59,6 +63,13 @@ class SafelinkBytes:
 SAFELINK_BYTES = SafelinkBytes()
 
 
+EMERGENCY_HEADS = tuple(
+    bytes([form.port << 4 | form.channel]) + form.head
+    for form in (PACKET_FORMS["emergency_stop"], PACKET_FORMS["supervisor_stop"])
+)
+"""First two bytes of the packets that stop the motors for good, without the bits of safelink."""
+
+
 class DongleFailed(LinkFailed):
     """The dongle of a link is missing or was removed: every other link of it fails too."""
 
@@ -71,58 +82,60 @@ class Dongle:
     """
 
     def __init__(self, number: int, failed: Callable[[str], None]) -> None:
-        self._radio = radiodriver.Crazyradio(devid=number)
-        self.version: float = self._radio.version
+        self._radio = DongleRadio(number)
+        self.version = self._radio.version
+        self.is_inline = self._radio.is_inline
+        """Whether the dongle takes its settings with each packet."""
         self.links = 0
         """Links that use this dongle."""
         self.over = False
         """True once the dongle has failed or is closed."""
         self._failed = failed
-        self._guard, self._waiting = threading.Lock(), deque[threading.Lock]()
+        self.turns = DongleTurns()
+        """Turns of the links."""
         self._never = threading.Event()
 
-    @contextlib.contextmanager
-    def _turn(self) -> Iterator[None]:
-        """Wait for the dongle, first come, first served."""
-        mine = threading.Lock()
-        mine.acquire()
-        with self._guard:
-            self._waiting.append(mine)
-            if len(self._waiting) == 1:
-                mine.release()
-        with mine:
-            try:
-                yield
-            finally:
-                with self._guard:
-                    self._waiting.popleft()
-                    if self._waiting:
-                        self._waiting[0].release()
-
     def exchange(
-        self, channel: int, address: bytes, rate: int, data: Sequence[int]
+        self,
+        link: "DongleShare",
+        channel: int,
+        address: bytes,
+        rate: int,
+        data: Sequence[int],
     ) -> Any:
-        """Send a packet to a drone and return cflib's acknowledgement.
+        """Send a packet of a link to its drone and return the acknowledgement.
 
         Returns None if the dongle does not answer.
         """
-        with self._turn():
+        with self.turns.take(link, first=is_emergency(data)):
             answer = self._use(
-                lambda radio: _exchange_packet(radio, channel, address, rate, data)
+                lambda radio: radio.exchange(channel, address, rate, data)
             )
             if answer is None:
-                # cflib hides the errors of packets; this request shows them.
-                self._use(lambda radio: radio.set_arc(radio.arc))
+                # Errors of packets are hidden; this request shows them.
+                self._use(lambda radio: radio.check())
+            elif self._may_go_on(link, answer):
+                self.turns.hold(link)
         if answer is None:
             self._never.wait(DONGLE_PACING.retry_pause)
         return answer
 
+    def _may_go_on(self, link: "DongleShare", answer: Any) -> bool:
+        """Return whether a visit is longer than this packet: it saves the time to come back to the drone."""
+        has_more = link.has_more() or not _is_empty(answer.data)
+        return has_more and bool(answer.ack) and not self.is_inline
+
+    def broadcast(self, channel: int, rate: int, packets: Sequence[bytes]) -> None:
+        """Send packets to all drones of a channel and data rate, before the packets that wait."""
+        with self.turns.take(self, first=True):
+            self._use(lambda radio: radio.broadcast(channel, rate, packets))
+
     def set_arc(self, retries: int) -> None:
         """Set how often the dongle itself sends an unacknowledged packet again."""
-        with self._turn():
+        with self.turns.take(self):
             self._use(lambda radio: radio.set_arc(retries))
 
-    def _use(self, does: Callable[[Any], Any]) -> Any:
+    def _use(self, does: Callable[[DongleRadio], Any]) -> Any:
         if self.over:
             return None
         try:
@@ -133,19 +146,17 @@ class Dongle:
 
     def close(self) -> None:
         """Close the dongle after its last link."""
-        with self._turn():
+        with self.turns.take(self):
             self.over = True
             with contextlib.suppress(Exception):  # the dongle was unplugged
                 self._radio.close()
 
 
-def _exchange_packet(
-    radio: Any, channel: int, address: bytes, rate: int, data: Sequence[int]
-) -> Any:
-    radio.set_channel(channel)
-    radio.set_address(address)
-    radio.set_data_rate(rate)
-    return radio.send_packet(data)
+def is_emergency(data: Sequence[int]) -> bool:
+    """Return whether a packet stops the motors for good."""
+    # Without the two bits of safelink.
+    head = bytes([data[0] & SAFELINK_BYTES.null_header, *data[1:2]])
+    return head in EMERGENCY_HEADS
 
 
 class DongleShare:
@@ -167,6 +178,8 @@ class DongleShare:
         self._missed = 0
         self.ends = False
         """True once the link is about to be closed."""
+        self.has_more: Callable[[], bool] = lambda: False
+        """Return whether another packet of this link waits."""
         self._never = threading.Event()
 
     def set_channel(self, channel: int) -> None:
@@ -205,7 +218,9 @@ class DongleShare:
     def _exchanged(self, data: Sequence[int]) -> Any:
         if not self._open:
             return None
-        answer = self._dongle.exchange(self._channel, self._address, self._rate, data)
+        answer = self._dongle.exchange(
+            self, self._channel, self._address, self._rate, data
+        )
         if answer is not None:
             self._heard = not _is_empty(answer.data)
             self._vain = 0 if self._heard or not _is_empty(data) else self._vain + 1
@@ -217,6 +232,8 @@ class DongleShare:
     @property
     def idle(self) -> float:
         """Seconds for which the drone need not be asked, unless there is a packet to send."""
+        if self._dongle.turns.is_visiting(self):
+            return 0.0
         if self._vain == 0:
             return DONGLE_PACING.answer_time if self._heard else 0.0
         return min(
@@ -227,7 +244,12 @@ class DongleShare:
 
     @property
     def _longest(self) -> float:
-        return DONGLE_PACING.longest_pause * self._dongle.links
+        each = (
+            DONGLE_PACING.longest_inline_pause
+            if self._dongle.is_inline
+            else DONGLE_PACING.longest_pause
+        )
+        return each * self._dongle.links
 
     def close(self) -> None:
         """End this link's share."""
@@ -288,17 +310,31 @@ class DonglePool:
                 if self._open.get(number) is dongle:
                     del self._open[number]
 
+    def find(self, number: int) -> Dongle | None:
+        """Return an open dongle; None if no link uses it, or it has failed."""
+        with self._lock:
+            dongle = self._open.get(number)
+        return None if dongle is None or dongle.over else dongle
+
+    def is_inline(self, uri: str) -> bool | None:
+        """Return whether the open dongle of this uri takes its settings with each packet; None without one."""
+        number = _dongle_number(uri)
+        dongle = None if number is None else self.find(number)
+        return None if dongle is None else dongle.is_inline
+
     def failure(self, uri: str) -> str:
         """Return why the dongle of this uri cannot be used.
 
         The text is empty if the dongle can be used, or was not opened yet.
         """
-        number = uri.removeprefix("radio://").partition("/")[0]
-        return (
-            self._why.get(int(number), "")
-            if uri.startswith("radio://") and number.isdigit()
-            else ""
-        )
+        number = _dongle_number(uri)
+        return "" if number is None else self._why.get(number, "")
+
+
+def _dongle_number(uri: str) -> int | None:
+    """Return the number of the dongle of a radio:// uri; None for another uri."""
+    number = uri.removeprefix("radio://").partition("/")[0]
+    return int(number) if uri.startswith("radio://") and number.isdigit() else None
 
 
 PROCESS_DONGLES = DonglePool()

@@ -2,6 +2,7 @@
 
 import contextlib
 import threading
+from collections.abc import Iterable
 
 from cflib.crazyflie import Crazyflie
 from cflib.crtp.crtpstack import CRTPPacket
@@ -57,6 +58,12 @@ class DriverLink:
     def _try(self, packet: Packet) -> None:
         with contextlib.suppress(LinkFailed):
             self.put(packet)
+
+    def try_all(self, packets: Iterable[Packet]) -> None:
+        """Put packets on the link; drop them if it is closed or fails."""
+        with contextlib.suppress(LinkFailed, OSError):
+            for packet in packets:
+                self.put(packet)
 
     def close(self) -> None:
         """Close the link if it is open."""

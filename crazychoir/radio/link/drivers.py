@@ -112,7 +112,9 @@ class PatientRadioDriver(RadioDriver):  # type: ignore[misc]
     ) -> None:
         """Open the link as cflib does, on a shared dongle of this package."""
         super().connect(uri, radio_link_statistics_callback, _ignore_error)
-        self.out_queue = self._thread._out_queue = Outbox(self._radio)
+        outbox = Outbox(self._radio)
+        self._radio.has_more = lambda: bool(outbox.queue)
+        self.out_queue = self._thread._out_queue = outbox
 
     def send_packet(self, pk: Any) -> bool:
         """Queue a packet; return whether there was room in time."""

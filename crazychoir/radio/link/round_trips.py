@@ -5,10 +5,12 @@ import struct
 import threading
 from bisect import bisect_left, insort
 from collections import OrderedDict, deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from crazychoir.firmware.requests import LINK_CHANNELS
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet
+from crazychoir.runtime.clock import Clock
 
 ECHO_FORMAT = struct.Struct("<Bd")
 """Format of cflib's own echoes: other listeners take ours for cflib's."""
@@ -89,3 +91,18 @@ class RoundTrips:
             # Without the last echo, which may be on its way.
             back = [sent is None for sent in self._answered.values()][:-1]
         return sum(back) / len(back) if back else math.nan
+
+
+async def send_echoes(
+    clock: Clock, rate: float, trips: RoundTrips, newest: Callable[[str, Packet], None]
+) -> None:
+    """Send echoes as ordinary packets.
+
+    cflib's own thread for echoes competes with other packets, and hangs when the air is full.
+
+    rate: Hz
+    trips: the echoes of the link
+    newest: sends a packet in place of the waiting one of the same kind
+    """
+    async for _ in clock.ticks(rate):
+        newest("echo", trips.echo())

@@ -13,6 +13,7 @@ from functools import partial
 from crazychoir.errors import CodecError, ConfigError
 from crazychoir.firmware.requests import LINK_CHANNELS, POWER_PACKETS
 from crazychoir.radio.protocol.crtp import CrtpPort, Packet, parse_packet
+from crazychoir.radio.protocol.packed_poses import is_packed
 from crazychoir.radio.virtual.air import Air
 from crazychoir.radio.virtual.drone import VirtualCrazyflie
 
@@ -128,7 +129,10 @@ class DronePort:
             self.malformed += 1
             return
         self.client = sender
-        self.air.rise(partial(self._arrive, packet))
+        if is_packed(packet):
+            self.air.spread(data, partial(self._arrive, packet))
+        else:
+            self.air.rise(partial(self._arrive, packet))
 
     def _arrive(self, packet: Packet) -> None:
         is_null = packet[:2] == (CrtpPort.LINK, LINK_CHANNELS.null)

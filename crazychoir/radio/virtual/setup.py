@@ -8,7 +8,9 @@ import msgspec
 
 from crazychoir.config.calibrated import build_body, find_thrust_factor
 from crazychoir.config.checks import WORLD_STEP
+from crazychoir.config.dongle_plan import capacity_of
 from crazychoir.config.number_lists import parse_spans
+from crazychoir.config.radio_checks import address_number
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.config.tables import DroneTable
 from crazychoir.config.uris import udp_uri
@@ -30,20 +32,8 @@ from crazychoir.simulation.common.world import WorldSetup
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
 from crazychoir.simulation.onboard.units import FULL_THRUST_COMMAND
 
-
-@dataclass(frozen=True, slots=True)
-class GridAddresses:
-    """The addresses of virtual drones."""
-
-    first_byte: int = 0xE7
-    """Last byte of the address of drone 0; the address of drone k is k higher."""
-    host: str = "127.0.0.1"
-    """Host of drones on a grid."""
-
-
-GRID_ADDRESSES = GridAddresses()
-
-
+GRID_HOST = "127.0.0.1"
+"""Host of drones on a grid."""
 PORT_TAKEN_ADVICE = (
     "The swarm file names it, and another `crazychoir virtual`, or another program, has it: end that, or change the "
     "uri of the drone, or mocap.port, in the file."
@@ -131,16 +121,14 @@ def place_on_grid(
     drones = tuple(
         msgspec.structs.replace(drone, platform="cf21") for drone in config.drones
     )
-    places = [
-        (drone, (GRID_ADDRESSES.host, port + k)) for k, drone in enumerate(drones)
-    ]
+    places = [(drone, (GRID_HOST, port + k)) for k, drone in enumerate(drones)]
     return VirtualSwarm(
         config,
         drones,
         _make_seats(
             config, places, MODELLED_DRONE.decks if decks is None else decks, release
         ),
-        (GRID_ADDRESSES.host, port - 1),
+        (GRID_HOST, port - 1),
     )
 
 
@@ -210,7 +198,7 @@ def _make_seats(
             drone.id,
             at,
             body(drone),
-            (GRID_ADDRESSES.first_byte + drone.id) % 256,
+            address_number(drone),
             _default_decks(drone) if decks is None else tuple(decks),
             release,
             device_name_of(find_platform(drone.platform)),
@@ -272,20 +260,15 @@ def dongle_groups(
         return [(group, None) for group in _parse_groups(text, ids)]
     if each is not None:
         return [(ids[k : k + each], None) for k in range(0, len(ids), each)]
-    rows = {
-        row.dongle: row.capacity or hall.config.radio.capacity
-        for row in hall.config.radio.dongles
-    }
     found = {
         k: tuple(i for i in group if i in ids)
         for k, group in hall.config.topology.dongles.items()
     }
-    shared = {
-        k: rows.get(k, hall.config.radio.capacity)
+    return [
+        (group, capacity_of(hall.config, k) if len(group) > 1 else None)
         for k, group in found.items()
-        if len(group) > 1
-    }
-    return [(group, shared.get(k)) for k, group in found.items() if group]
+        if group
+    ]
 
 
 def _parse_groups(text: str, ids: tuple[int, ...]) -> list[tuple[int, ...]]:

@@ -7,7 +7,6 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.addresses import PROCESS_NUMBERS, Addresses
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.radio.budget import compute_setpoint_rates
 
 
 def swarm(*uris: str, head: str = "", keys: str = "") -> SwarmConfig:
@@ -18,19 +17,13 @@ def swarm(*uris: str, head: str = "", keys: str = "") -> SwarmConfig:
     return SwarmConfig.loads(f'name = "lab"\n{head}\n' + "\n".join(rows), "lab.toml")
 
 
-def udp(n: int, dongles: int = 1, **control: object) -> SwarmConfig:
+def udp(n: int, dongles: int = 1) -> SwarmConfig:
     rows = [
         f'[[drones]]\nid = {i}\nhome = [{i % 4}, {i // 4}, 0]\nuri = "udp://127.0.0.1:{19850 + i}"\n'
         f"dongle = {i % dongles}\n"
         for i in range(n)
     ]
-    radio = control.pop("radio", {})
-    tables = {"control": control, "radio": radio}
-    text = "".join(
-        f"[{name}]\n" + "".join(f"{k} = {v!r}\n" for k, v in t.items())
-        for name, t in tables.items()
-    )
-    return SwarmConfig.loads('name = "lab"\n' + text + "".join(rows), "lab.toml")
+    return SwarmConfig.loads('name = "lab"\n' + "".join(rows), "lab.toml")
 
 
 def test_dongles_come_from_the_key_or_the_uri() -> None:
@@ -150,111 +143,20 @@ def test_what_is_refused(uris: list[str], head: str, keys: str, text: str) -> No
     assert text in str(caught.value)
 
 
-def test_four_drones_at_100_hz_are_too_much_for_one_dongle() -> None:
+def test_two_drones_of_a_channel_may_not_end_alike_if_their_poses_are_broadcast() -> (
+    None
+):
+    uris = "radio://0/80/2M/E7E7E7E703", "radio://0/80/2M/E7E7E7E803"
     with pytest.raises(ConfigError) as caught:
-        compute_setpoint_rates(udp(4, sender="fpqr", radio={"command_rate": 100}))
-    assert str(caught.value) == (
-        "dongle 0 = drones 0, 1, 2, 3 (fpqr) need 488 packets a second: 4 x 100 set-points, 4 x 22 poses, echoes and "
-        "requests; it carries 250, 31 set-points a second and drone. Use more dongles, send frpy or vel or "
-        "fullstate (40 Hz at most), or measure its capacity."
+        swarm(*uris)
+    assert (
+        "drones[0] has the last byte 03, too, and would take this drone's pose"
+        in str(caught.value)
     )
-
-
-@pytest.mark.parametrize(
-    ("n", "rate", "says"),
-    [
-        (
-            4,
-            13.0,
-            "4 x 50 set-points, 4 x 22 poses, echoes and requests; it carries 250, 31 set-points a second and "
-            "drone. Use more dongles, send frpy or vel or fullstate (40 Hz at most), or measure its capacity.",
-        ),
-        (
-            3,
-            0.0,
-            "it carries 250, 49 set-points a second and drone. Use more dongles, set command_rate = 50 to 61 ",
-        ),
-        (
-            3,
-            70.0,
-            "Use more dongles, set command_rate = 50 to 61 ([radio]), or measure its capacity.",
-        ),
-        (
-            3,
-            13.0,
-            "radio.command_rate: found 13.0; allowed: 50 to 61 Hz, for what is sent by dongle 0 (fpqr). Leave ",
-        ),
-        (
-            6,
-            13.0,
-            "13 set-points a second and drone. Use more dongles, send vel (19 Hz at most), or measure its cap",
-        ),
-    ],
-)
-def test_what_is_said_to_be_carried_is(n: int, rate: float, says: str) -> None:
-    with pytest.raises(ConfigError) as caught:
-        compute_setpoint_rates(udp(n, sender="fpqr", radio={"command_rate": rate}))
-    assert says in str(caught.value)
-    for told in (50.0, 61.0) if n == 3 else ():
-        assert compute_setpoint_rates(
-            udp(n, sender="fpqr", radio={"command_rate": told})
-        ) == {0: told}
-
-
-def test_logs_count_for_drones_with_an_on_board_pose() -> None:
-    uris = [f"udp://127.0.0.1:{19850 + i}" for i in range(4)]
-    config = swarm(*uris, head="[radio]\nlog_rate = 25", keys='pose = "onboard"')
-    with pytest.raises(
-        ConfigError,
-        match="4 x 30 set-points, 4 x 37 logs, echoes and requests; it carries 250",
-    ):
-        compute_setpoint_rates(config)
-
-
-def test_what_dongles_leave() -> None:
-    assert compute_setpoint_rates(udp(2, sender="fpqr")) == {0: 84.0}
-    assert compute_setpoint_rates(
-        udp(2, sender="fpqr", radio={"command_rate": 100.0})
-    ) == {0: 100.0}, "asked for, and just carried"
-    assert compute_setpoint_rates(udp(4, sender="frpy")) == {0: 31.0}
-    assert compute_setpoint_rates(udp(6, 3, sender="frpy")) == {
-        0: 84.0,
-        1: 84.0,
-        2: 84.0,
-    }
-    assert compute_setpoint_rates(
-        udp(1, sender="fpqr", radio={"pose_rate": 100.0})
-    ) == {0: 100.0}, "one alone never changes channels"
-    with pytest.raises(ConfigError, match="5 x 50 set-points"):
-        compute_setpoint_rates(udp(5, sender="fpqr"))
-
-
-def test_plans_count_as_they_are_sent() -> None:
-    assert compute_setpoint_rates(udp(5, sender="xyz")) == {0: 0.0}
-    with pytest.raises(
-        ConfigError,
-        match=r"5 x 37 poses, .* 5 x 10 plans; .* 212\.5 with room .* a lower pose_rate",
-    ):
-        compute_setpoint_rates(udp(5, sender="xyz", radio={"pose_rate": 25.0}))
-
-
-def test_what_drones_say_counts_as_well() -> None:
-    with pytest.raises(ConfigError) as caught:
-        compute_setpoint_rates(udp(7, sender="xyz"))
-    assert str(caught.value) == (
-        "dongle 0 = drones 0, 1, 2, 3, 4, 5, 6 (xyz) say 294 packets a second: 140 logs, 7 x 12 echoes and answers, "
-        "7 x 10 to plans; it carries 250, 212.5 with room to spare. Use more dongles, or measure its capacity."
-    )
-    with pytest.raises(ConfigError, match="6 x 10 to plans; it carries 250"):
-        compute_setpoint_rates(udp(6, sender="xyz"))
-    assert compute_setpoint_rates(udp(7, sender="xyz", radio={"capacity": 350.0})) == {
-        0: 0.0
-    }
-    with pytest.raises(
-        ConfigError,
-        match=r"say 224 .*: 200 logs, 2 x 12 echoes and answers; .* a lower log_rate",
-    ):
-        compute_setpoint_rates(udp(2, sender="vel", radio={"log_rate": 100.0}))
+    assert "set broadcast = false in [radio]" in str(caught.value)
+    assert swarm(*uris, head="[radio]\nbroadcast = false").topology.reached == (0, 1)
+    other = swarm(uris[0], "radio://0/82/2M/E7E7E7E803")
+    assert other.topology.reached == (0, 1), "another channel"
 
 
 def test_a_drone_with_a_radio_is_sent_angles_unless_the_file_says_otherwise() -> None:

@@ -57,7 +57,7 @@ def test_dongles_carry_the_six_of_the_laboratory_if_their_uris_say_so() -> None:
         re.sub(r"id = (\d)", r'id = \1\nuri = "udp://127.0.0.1:1985\1"', text),
         "lab6.toml",
     )
-    assert compute_setpoint_rates(config) == {0: 84.0, 1: 84.0, 2: 84.0}
+    assert compute_setpoint_rates(config) == {0: 100.0, 1: 100.0, 2: 100.0}
 
 
 def test_a_changed_swarm_has_its_own_topology() -> None:

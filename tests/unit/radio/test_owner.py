@@ -3,12 +3,14 @@
 import asyncio
 
 import numpy as np
+import pytest
 from radio_drones import READY, Kept, head
 from virtual_time import virtual
 
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio.drone.timing import SILENCE_LIMITS
+from crazychoir.radio.link.dongles import PROCESS_DONGLES
 from crazychoir.radio.owner import OWNER_LIMITS, RadioProcess
 from crazychoir.safety.identity.pose_gate import PoseGate
 from crazychoir.types import Pose
@@ -68,3 +70,23 @@ async def test_a_silent_drone_beyond_the_limit_is_not_cut(clock) -> None:
     drone.view.see(Pose(np.array([20.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])), 0.0)
     owner._keep_inside(0, body)
     assert head("emergency_stop") not in kept.sent
+
+
+@virtual
+async def test_an_owner_refuses_a_dongle_that_lacks_the_promised_inline_mode(
+    clock,
+) -> None:
+    for is_inline, says in ((None, ""), (True, ""), (False, "no Crazyradio 2.0")):
+        rows = [
+            {"id": i, "home": [i, 0, 0], "uri": f"radio://0/80/2M/E7E7E7E70{i}"}
+            for i in range(2)
+        ]
+        raw = {"name": "a", "drones": rows, "radio": {"inline": True}}
+        owner = RadioProcess(clock, SwarmConfig.of(raw), 0, "radio", "here", 1)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(
+                PROCESS_DONGLES, "is_inline", lambda uri, found=is_inline: found
+            )
+            owner._look_at_dongle(1.0)
+        assert says in owner.failure
+        assert bool(owner.failure) is bool(says)

@@ -1,18 +1,13 @@
-"""A dongle's time: one exchange carries a packet up, and one down on its acknowledgement."""
+"""A dongle's time: one exchange carries a packet up, and one down on its acknowledgement; visits; broadcasts."""
 
 from types import SimpleNamespace
 
 import pytest
 from virtual_time import virtual
 
-from crazychoir.config.radio_checks import RADIO_TRAFFIC
-from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.errors import ConfigError
-from crazychoir.radio.budget import compute_setpoint_rates
-from crazychoir.radio.checks import link_problems
+from crazychoir.config.dongle_plan import RADIO_TRAFFIC
 from crazychoir.radio.virtual.air import AIR_MODEL, Air, VirtualDongle
 from crazychoir.radio.virtual.faults import Faults
-from crazychoir.runtime.clock import NS_PER_SECOND
 
 MS = 1_000_000
 
@@ -28,7 +23,7 @@ async def test_what_goes_down_rides_on_what_goes_up(clock):
     assert [(way, k) for _, way, k in came] == [
         (way, k) for k in range(10) for way in ("down", "up")
     ]
-    assert came[-1][0] == pytest.approx(10 / AIR_MODEL.shared_capacity)
+    assert came[-1][0] == pytest.approx(dongle.time.change + 10 * dongle.time.exchange)
 
 
 @virtual
@@ -39,7 +34,8 @@ async def test_a_drone_that_only_sends_is_polled(clock):
     await clock.sleep(1.0)
     assert dongle.exchanges == 5
     assert came == [
-        pytest.approx((k + 1) / AIR_MODEL.shared_capacity) for k in range(5)
+        pytest.approx(dongle.time.change + (k + 1) * dongle.time.exchange)
+        for k in range(5)
     ]
 
 
@@ -53,70 +49,50 @@ async def test_an_answer_rides_on_the_next_exchange(clock):
 
 @virtual
 async def test_drones_take_turns_whatever_one_of_them_asks_for(clock):
-    dongle, came = VirtualDongle(clock, (0, 1, 2)), []
+    dongle, came = VirtualDongle(clock, (0, 1, 2), longest_visit=2), []
     for k in range(20):
         dongle.up(0, lambda k=k: came.append(0))
     dongle.up(1, lambda: came.append(1))
     dongle.up(2, lambda: came.append(2))
     await clock.sleep(1.0)
-    assert came[:4] in ([0, 1, 2, 0], [0, 0, 1, 2])
+    assert came[:6] == [0, 0, 1, 2, 0, 0]
     assert len(came) == 22
 
 
-def _speak(clock, dongle, seconds):
-    """Let its drones be told and say what those do that are sent places; s for a round trip, as asked, 95 of 100."""
-    trips = []
-
-    def ask(i):
-        began = clock.now()
-        dongle.up(i, lambda: dongle.down(i, lambda: trips.append(clock.now() - began)))
-
-    for i in dongle.drones:
-        told = (10.0, lambda i: dongle.up(i, list))
-        said = (RADIO_TRAFFIC.least_attitude_rate, lambda i: dongle.down(i, list))
-        for row, (rate, flow) in enumerate(
-            [
-                (
-                    RADIO_TRAFFIC.echo_rate
-                    + RADIO_TRAFFIC.planner_rate
-                    + RADIO_TRAFFIC.request_rate,
-                    ask,
-                ),
-                told,
-                said,
-            ]
-        ):
-            for k in range(round(rate * seconds)):
-                clock.call_at(
-                    clock.now_ns()
-                    + round((k + 0.37 * i + 0.29 * row) / rate * NS_PER_SECOND),
-                    flow,
-                    i,
-                )
-    return lambda: sorted(trips)[round(0.95 * len(trips)) - 1]
+@virtual
+async def test_a_visit_of_several_packets_changes_the_address_once(clock):
+    dongle, came = VirtualDongle(clock, (0, 1)), []
+    for i in (0, 1, 0, 1):
+        dongle.up(i, lambda i=i: came.append((i, clock.now())))
+    await clock.sleep(1.0)
+    c, x = dongle.time.change, dongle.time.exchange
+    assert (c, x) == (pytest.approx(0.003), pytest.approx(0.001))
+    assert [i for i, _ in came] == [0, 0, 1, 1]
+    assert [t for _, t in came] == [
+        pytest.approx(t) for t in (c + x, c + 2 * x, 2 * c + 3 * x, 2 * c + 4 * x)
+    ]
+    assert dongle.visits == 2
+    assert dongle.busy_ns == pytest.approx(1e9 * (2 * c + 4 * x))
 
 
 @virtual
-async def test_what_the_budget_lets_pass_comes_in_time_and_what_it_refuses_does_not(
-    clock,
-):
-    at_home = [
-        f'[[drones]]\nid = {i}\nhome = [0, {i - 3}, 0]\nuri = "udp://127.0.0.1:{19850 + i}"\n'
-        for i in range(7)
-    ]
-    latencies = {n: _speak(clock, VirtualDongle(clock, range(n)), 20.0) for n in (5, 7)}
-    await clock.sleep(25.0)
-    for n, latency in latencies.items():
-        config = SwarmConfig.loads(
-            'name = "x"\n[control]\nsender = "xyz"\n' + "".join(at_home[:n]), "x.toml"
-        )
-        if n == 5:
-            assert compute_setpoint_rates(config) == {0: 0.0}
-            assert link_problems(latency(), 1.0) == []
-        else:
-            with pytest.raises(ConfigError, match="say 294 packets a second"):
-                compute_setpoint_rates(config)
-            assert "round trip" in link_problems(latency(), 1.0)[0]
+async def test_a_broadcast_goes_before_visits_and_reaches_all_at_once(clock):
+    dongle, came = VirtualDongle(clock, (0, 1, 2)), []
+    for content in (b"poses of 0 and 1", b"pose of 2"):
+        for i in range(3):
+            dongle.spread(content, lambda i=i: came.append((i, clock.now())))
+    await clock.sleep(0.001)
+    for _ in range(9):
+        dongle.up(1, lambda: came.append(("up", clock.now())))
+    await clock.sleep(1.0)
+    spread = [row for row in came if row[0] != "up"]
+    assert [i for i, _ in spread] == [0, 1, 2, 0, 1, 2]
+    assert len({t for _, t in spread}) == 1
+    c, x = dongle.time.change, dongle.time.exchange
+    begun = spread[0][1] - (3 * c + 2 * x)
+    assert 0.002 <= begun <= 0.002 + c + x, "no later than after one exchange"
+    assert (dongle.broadcasts, dongle.spreads) == (2, 1)
+    assert dongle.visits == 2, "the broadcast has interrupted the visit"
 
 
 def test_a_late_computer_takes_no_time_of_the_radio():
@@ -153,26 +129,28 @@ async def test_what_is_too_much_is_lost(clock):
 
 
 @virtual
-async def test_four_drones_share_250_packets_a_second_both_ways(clock):
+async def test_four_drones_share_a_dongle(clock):
     dongle, counts = VirtualDongle(clock, range(4)), [0] * 4
 
     def came(i):
         counts[i] += 1
 
-    for _ in range(200):  # 100 Hz of set-points each: more than there is
+    for _ in range(400):  # 200 Hz of set-points each: more than there is
         for i in range(4):
             dongle.up(i, lambda i=i: came(i))
-        await clock.sleep(0.01)
-    assert sum(counts) == pytest.approx(2.0 * AIR_MODEL.shared_capacity, abs=4)
-    assert max(counts) - min(counts) <= 2
+        await clock.sleep(0.005)
+    # Visits of four packets, since more wait than there is time for.
+    visit = 4 * dongle.time.exchange + dongle.time.change
+    assert sum(counts) == pytest.approx(2.0 * 4 / visit, abs=8)
+    assert max(counts) - min(counts) <= 4
 
 
 def test_a_drone_alone_has_more():
     assert (
         VirtualDongle(None, (3,)).capacity
-        == AIR_MODEL.single_capacity
+        == RADIO_TRAFFIC.single_drone_capacity
         > VirtualDongle(None, (3, 4)).capacity
-        == AIR_MODEL.shared_capacity
+        == RADIO_TRAFFIC.shared_capacity
     )
 
 
