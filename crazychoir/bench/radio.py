@@ -1,4 +1,4 @@
-"""Delay of the event loop of a process while dongle owners serve twenty links and open another."""
+"""What a dongle carries, and the delay of an event loop while dongle owners serve twenty links."""
 
 import contextlib
 import os
@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Group
 from rich.table import Table
 
+from crazychoir.bench import dongle
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm
 from crazychoir.errors import Refused
@@ -43,7 +45,18 @@ class RadioBenchSettings:
 RADIO_BENCH = RadioBenchSettings()
 
 
-def run(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
+def run(quick: bool, say: Callable[[str], None], model: bool = False) -> dict[str, Any]:
+    """Measure one dongle on the radio model, and what many links cost a process.
+
+    quick: shorter phases
+    say: called with a text that says what is being measured
+    model: True for the radio model only
+    """
+    rows = {"dongle": dongle.run(quick, say)}
+    return rows if model else rows | _run_links(quick, say)
+
+
+def _run_links(quick: bool, say: Callable[[str], None]) -> dict[str, Any]:
     """Measure how late the event loop of this process wakes, in each of RADIO_BENCH.phases.
 
     Like an agent, this process receives the poses and link states of all drones over Zenoh. In the
@@ -151,17 +164,17 @@ def _programs(file: Path) -> Iterator[list[str]]:
     swarm = ["--swarm", str(file)]
     yield ["crazychoir.cli.main", "virtual", *swarm]
     yield ["crazychoir.cli.fly.mocap", *swarm]
-    for dongle in range(RADIO_BENCH.links // RADIO_BENCH.links_per_dongle):
-        yield _owner(file, dongle)
+    for number in range(RADIO_BENCH.links // RADIO_BENCH.links_per_dongle):
+        yield _owner(file, number)
 
 
-def _owner(file: Path, dongle: int) -> list[str]:
+def _owner(file: Path, number: int) -> list[str]:
     return [
         "crazychoir.cli.fly.radio_owner",
         "--swarm",
         str(file),
         "--dongle",
-        str(dongle),
+        str(number),
     ]
 
 
@@ -219,11 +232,18 @@ async def _measure_lateness(clock: Clock, seconds: float) -> dict[str, float]:
     }
 
 
-def table(result: dict[str, Any]) -> Table:
-    """Return a table with one row a phase."""
+def tables(result: dict[str, Any]) -> Group:
+    """Return a table of the radio model, and one with one row a phase."""
+    found = [dongle.table(result["dongle"])]
+    if "late_ms" in result:
+        found.append(_table_lateness(result["late_ms"]))
+    return Group(*found)
+
+
+def _table_lateness(phases: dict[str, dict[str, float]]) -> Table:
     found = Table(
         "", "p50", "p99", "worst", title="ms by which a tick of the event loop is late"
     )
-    for phase, row in result["late_ms"].items():
+    for phase, row in phases.items():
         found.add_row(phase, *(f"{row[key]:.2f}" for key in ("p50", "p99", "worst")))
     return found
