@@ -251,7 +251,8 @@ def test_find_swarm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    "file", ["lab6.toml", "two_hosts.toml", "mujoco30.toml", "virtual4.toml"]
+    "file",
+    ["lab6.toml", "two_hosts.toml", "mujoco30.toml", "virtual4.toml", "virtual12.toml"],
 )
 def test_the_examples_of_deploy_load(file: str) -> None:
     config = SwarmConfig.load(ROOT / "deploy" / file)
@@ -259,7 +260,9 @@ def test_the_examples_of_deploy_load(file: str) -> None:
     assert config.graph().is_connected
     assert (
         len(config.drones)
-        == {"lab6": 6, "two_hosts": 4, "mujoco30": 30, "virtual4": 4}[config.name]
+        == {"lab6": 6, "two_hosts": 4, "mujoco30": 30, "virtual4": 4, "virtual12": 12}[
+            config.name
+        ]
     )
     assert SwarmConfig.loads(config.dumps()) == config
 
