@@ -328,21 +328,6 @@ async def test_twenty_fly_a_figure(tmp_path) -> None:
     await flown(config, tmp_path, 200.0)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("inline", "n"), [(True, 12), (False, 12)])
-async def test_twelve_of_one_dongle_fly_a_figure(tmp_path, inline, n) -> None:
-    """A Crazyradio 2.0, which broadcasts the poses, and a Crazyradio PA, which sends each drone its own."""
-    groups = [list(range(0, n, 2)), list(range(1, n, 2))]
-    config = reached(
-        figures(n, "xyz", processes=groups),
-        per_dongle=n,
-        mocap={"rate": 50},
-        radio={"inline": inline, "connect_deadline": 30.0},
-    )
-    result = await flown(config, tmp_path, 200.0)
-    assert result["success"]
-
-
 async def farthest(hall: Hall, run: Program, homes: dict[int, Any]) -> dict[int, float]:
     """Return how far, in m, each drone with turning motors strayed sideways from its home until the run was over."""
     far = dict.fromkeys(homes, 0.0)
