@@ -248,7 +248,7 @@ class _Loads:
             max(radio.log_rate, RADIO_TRAFFIC.least_attitude_rate)
             if i in self.seen
             else radio.log_rate + RADIO_TRAFFIC.uncertainty_rate
-        )
+        ) + self._extra_logs(i)
         poses = radio.pose_rate if i in self.seen and not self.broadcasts else 0.0
         visits = max(
             commands,
@@ -257,6 +257,14 @@ class _Loads:
             0.0 if i in self.seen else radio.log_rate,
         )
         return asked + commands + poses, asked + answers + logs, visits
+
+    def _extra_logs(self, i: int) -> float:
+        """Return the packets a second of the [[logs]] of drone i."""
+        return sum(
+            row.rate
+            for row in self.swarm.logs
+            if row.drones is None or i in row.drones
+        )
 
     def parts(self, rate: float) -> dict[str, float]:
         """Return the share of time for each use of the dongle.
@@ -342,6 +350,8 @@ class _Loads:
             ]
             if lighter:
                 ways.append(f"send {' or '.join(lighter)} ({fits:g} Hz at most)")
+        if any(self._extra_logs(i) for i in self.ids):
+            ways.append("lower rates in [[logs]]")
         if radio.log_rate > RADIO_TRAFFIC.least_attitude_rate:
             ways.append("a lower log_rate ([radio])")
         if radio.pose_rate > RADIO_TRAFFIC.least_visit_rate:
