@@ -13,6 +13,7 @@ from crazychoir.routing.search.ruin import (
     empty_route,
     remove_strings,
 )
+from crazychoir.routing.search.tail_exchange import TAIL_EXCHANGE, exchange_tails
 from crazychoir.routing.search.tours import (
     KERNEL_OPTIONS,
     Fleet,
@@ -102,7 +103,10 @@ def anneal_tours(
             level += 1
         absent = _sum_absences(fleet, tours, absence) if missing > 0 else 0.0
         begin_step(step)
-        remove_strings(fleet, tours, step, random, average)
+        if draw_fraction(random) < TAIL_EXCHANGE.step_probability:
+            exchange_tails(fleet, tours, step, memory, random)
+        else:
+            remove_strings(fleet, tours, step, random, average)
         insert_missing_tasks(fleet, tours, step, memory, random)
         new_missing, new_absent, new_heavy, new_cost, first, second = evaluate_tours(
             fleet, tours, absence

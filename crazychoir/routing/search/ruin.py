@@ -57,6 +57,8 @@ class SearchStep(NamedTuple):
 
     gone: Bools
     """(M,) scratch: tasks to remove."""
+    row: Ints
+    """(L,) scratch: stops of a new route."""
     touched: Ints
     """(K,): the touched routes are the first counts[0] entries."""
     seen: Ints
@@ -78,6 +80,7 @@ class SearchStep(NamedTuple):
         counts = np.array([0, 0, len(zero)], np.int64)
         return cls(
             none,
+            np.zeros_like(tours.stop[0]),
             zero,
             zero.copy(),
             counts,
@@ -136,6 +139,8 @@ def remove_strings(
 ) -> None:
     """Remove strings of stops from neighbouring routes, around a randomly drawn stop.
 
+    Each route loses one string. If there are fewer routes than strings, some lose several.
+
     average: number of stops that are removed together, on average.
     Source: Christiaens & Vanden Berghe 2020, Transportation Science 54(2), "Slack induction by
     string removals"; here the other stop of the same task is removed too.
@@ -144,22 +149,23 @@ def remove_strings(
     longest = min(STRING_REMOVAL.longest_string, _compute_mean_stops(tours))
     strings = 1 + int(draw_fraction(random) * (4.0 * average / (1.0 + longest) - 1.0))
     seed = int(draw_fraction(random) * 2 * m)
-    for rank in range(2 * m):
-        v = fleet.near[seed, rank]
-        k = tours.at[v if v < m else v - m]
-        if k < 0 or step.seen[k] == step.counts[1]:
-            continue
-        at = _find_position(tours, k, v)
-        if at == 0:
-            continue
-        save_route(tours, step, k)
-        _mark_string(fleet, tours, step, random, k, at, longest)
-        drop_tasks(fleet, tours, k, step.gone)
-        if not is_route_feasible(fleet, tours, k):
-            empty_route(fleet, tours, step, k)
-        strings -= 1
-        if strings <= 0:
-            return
+    for is_again in (False, True):
+        for rank in range(2 * m):
+            v = fleet.near[seed, rank]
+            k = tours.at[v if v < m else v - m]
+            if k < 0 or (step.seen[k] == step.counts[1] and not is_again):
+                continue
+            at = _find_position(tours, k, v)
+            if at == 0:
+                continue
+            save_route(tours, step, k)
+            _mark_string(fleet, tours, step, random, k, at, longest)
+            drop_tasks(fleet, tours, k, step.gone)
+            if not is_route_feasible(fleet, tours, k):
+                empty_route(fleet, tours, step, k)
+            strings -= 1
+            if strings <= 0:
+                return
 
 
 @kernel(_nrt=False)

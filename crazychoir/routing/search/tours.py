@@ -207,13 +207,15 @@ def _refresh_route_times(fleet: Any, tours: Any, k: int) -> None:
 
 @kernel(_nrt=False)
 def is_route_feasible(fleet: Any, tours: Any, k: int) -> bool:
-    """Return whether route k, refreshed, keeps capacity, limit and windows."""
+    """Return whether route k, refreshed, keeps capacity, limit, windows and number of trips."""
+    trips = 1
     for pos in range(tours.stops[k] + 1):
+        trips += pos > 0 and tours.stop[k, pos] == fleet.end[k]
         if tours.load[k, pos] > fleet.capacity[k] or tours.room[k, pos] < 0.0:
             return False
         if fleet.timed and tours.begin[k, pos] > tours.late[k, pos]:
             return False
-    return True
+    return bool(trips <= fleet.trips[k])
 
 
 @kernel(_nrt=False)
