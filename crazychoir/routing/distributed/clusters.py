@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from crazychoir.routing.distributed.team_order import TeamOrder
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.types import Ints, Mat, Vec
 
@@ -17,9 +18,9 @@ class Cluster:
     """A group of robots that re-plan together."""
 
     robots: tuple[int, ...]
-    """Ids, increasing."""
+    """Ids, in the order of the team."""
     tasks: tuple[int, ...]
-    """The tasks that they serve now, and unserved ones."""
+    """The tasks that they serve now, and unserved ones, in the order of the team."""
     leaders: tuple[int, ...]
     """The robots of the cluster that solve the joint problem."""
 
@@ -38,8 +39,9 @@ def list_unserved_tasks(routes: Stops, m: int) -> list[int]:
 class Neighbors:
     """Distances between robots, from points that all know: homes or starts, pickups, deliveries."""
 
-    def __init__(self, robots: Mapping[int, LocalProblem]) -> None:
-        self.robots = sorted(robots)
+    def __init__(self, robots: Mapping[int, LocalProblem], order: TeamOrder) -> None:
+        self._order = order
+        self.robots = order.robots
         tasks = robots[self.robots[0]].tasks
         self.m = len(tasks)
         stops = np.vstack([tasks.pickup, tasks.delivery])
@@ -73,8 +75,12 @@ class Neighbors:
         """
         random = np.random.default_rng(seed)
         share = random.uniform(0.5, 1.0)
-        room = max(2, round(share * most[0])), max(2, round(share * most[1]))
         size = [len(list_served_tasks(routes.get(i, ()), self.m)) for i in self.robots]
+        two_longest = sum(sorted(size)[-2:])
+        room = (
+            max(2, round(share * most[0])),
+            max(two_longest, round(share * most[1])),
+        )
         far = self.nearness(routes) * random.uniform(
             0.5, 1.5, size=(len(size), len(size))
         )
@@ -107,13 +113,13 @@ class Neighbors:
             j for i in ids for j in list_served_tasks(routes.get(i, ()), self.m)
         } | {j for j, k in nearest.items() if k in group}
         return Cluster(
-            tuple(sorted(ids)),
-            tuple(sorted(tasks)),
+            tuple(sorted(ids, key=self._order.robot_rank.__getitem__)),
+            tuple(sorted(tasks, key=self._order.task_rank.__getitem__)),
             tuple(sorted(ids[k] for k in leaders)),
         )
 
     def nearness(self, routes: Stops) -> Mat:
-        """Return (N, N) m, small if two routes run close together; rows by increasing id.
+        """Return (N, N) m, small if two routes run close together; rows in the order of the team.
 
             d_ab = mean over the nodes u of a of min over the nodes v of b of distance(u, v)
             nearness = min(d_ab, d_ba)

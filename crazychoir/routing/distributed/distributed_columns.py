@@ -28,6 +28,7 @@ from crazychoir.routing.distributed.robot_profile import (
     introduce_robots,
     restrict_problem,
 )
+from crazychoir.routing.distributed.team_order import TeamOrder
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
 from crazychoir.routing.pricing.route_table import RouteColumn, find_shortest_route
@@ -72,6 +73,7 @@ class DistributedColumns:
     def run(self) -> Exchange[TaskPartition]:
         """Run steps 1 to 6."""
         self._robots = yield from introduce_robots(self._member)
+        self._order = TeamOrder.of(self._robots)
         self._measure = PlanMeasure(self._robots, self._member.vehicle_weight)
         gossip = yield from self._relax()
         yield from self._begin()
@@ -135,7 +137,10 @@ class DistributedColumns:
         if max(servable.values()) > member.settings.columns.most_listed:
             return None
         complete = yield from flood_values(
-            self._i, not member.speaks or member.table.complete, self._diameter
+            self._i,
+            not member.speaks
+            or (not member.is_table_hopeless and member.table.complete),
+            self._diameter,
         )
         if not all(complete.values()):
             vars(member).pop(
@@ -152,21 +157,20 @@ class DistributedColumns:
         self._member.kind = "plans"
         settings = self._member.settings
         mine = None
-        if self._i < settings.search.starters:
-            everybody = Cluster(
-                tuple(sorted(self._robots)), tuple(range(self._m)), (self._i,)
-            )
+        rank = self._order.robot_rank[self._i]
+        if rank < settings.search.starters:
+            everybody = Cluster(self._order.robots, self._order.tasks, (self._i,))
             routes = reoptimize_cluster(
                 self._robots,
                 {},
                 everybody,
                 self._left_out,
                 settings.search.first_steps,
-                self._i,
+                rank,
             )
             mine = [
                 self._measure.compute_worth(routes),
-                self._i,
+                rank,
                 _flatten_routes(routes),
             ]
         best = yield from find_best_offer(mine, self._diameter)
@@ -183,11 +187,10 @@ class DistributedColumns:
         settings = self._member.settings
         self._member.report(phase="clusters")
         self._member.kind = "plans"
-        fitting = settings.search.cluster_rounds // max(1, self._diameter)
-        passes = max(
-            settings.search.least_passes, min(settings.search.most_passes, fitting)
+        passes = settings.search.count_passes(
+            len(self._robots), self._m, self._diameter
         )
-        near = Neighbors(self._robots)
+        near = Neighbors(self._robots, self._order)
         still = 0
         for k in range(passes):
             missing = self._measure.compute_worth(self.routes)[0]
@@ -216,7 +219,8 @@ class DistributedColumns:
         own = next((c for c in clusters if self._i in c.leaders), None)
         if own is None or not own.tasks:
             return None
-        seed = k * self._member.place.robots + self._i
+        rank = self._order.robot_rank[self._i]
+        seed = k * self._member.place.robots + rank
         new = reoptimize_cluster(
             self._robots, self.routes, own, self._left_out, steps, seed
         )
@@ -234,12 +238,12 @@ class DistributedColumns:
         better = False
         for cluster in clusters:
             made = [
-                (list(offers[i][0]), i)
+                (list(offers[i][0]), self._order.robot_rank[i], i)
                 for i in cluster.leaders
                 if offers[i] is not None
             ]
             if made:
-                self.routes.update(_unflatten_routes(offers[min(made)[1]][1]))
+                self.routes.update(_unflatten_routes(offers[min(made)[2]][1]))
                 better = True
         return better
 

@@ -9,7 +9,11 @@ import numpy as np
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.plan import hash_json
 from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
-from crazychoir.routing.pricing.route_table import MOST_TABLE_LABELS, RouteTable
+from crazychoir.routing.pricing.route_table import (
+    MOST_TABLE_LABELS,
+    RouteTable,
+    exceeds_label_limit,
+)
 from crazychoir.types import Vec
 
 
@@ -78,6 +82,17 @@ class SearchSettings:
     """Largest number of passes of clusters."""
     still_passes: int = 8
     """The passes end after this many passes without a better route."""
+
+    def count_passes(self, robots: int, tasks: int, diameter: int) -> int:
+        """Return the number of passes of clusters, which share the search steps.
+
+        A team that fits into a cluster has few passes, so that each search is long: it has nothing
+        to combine with other clusters.
+        """
+        fitting = self.cluster_rounds // max(1, diameter)
+        if robots <= self.cluster[0] and tasks <= self.cluster[1]:
+            fitting = self.least_passes
+        return max(self.least_passes, min(self.most_passes, fitting))
 
 
 @dataclass(frozen=True)
@@ -226,11 +241,20 @@ class RoutingMember:
     @cached_property
     def table(self) -> RouteTable:
         """All routes of this robot, computed at the first use."""
+        return RouteTable(self.local.vehicle, self._most_labels, self.local.objective)
+
+    @property
+    def is_table_hopeless(self) -> bool:
+        """Whether it is known without computing it that the table would be incomplete."""
+        return exceeds_label_limit(self.local.vehicle, self._most_labels)
+
+    @property
+    def _most_labels(self) -> int:
         vehicle = self.local.vehicle
         most = self.settings.columns.most_labels
         if not (vehicle.timed or np.isfinite(vehicle.farthest)):
             most //= 3  # without limits each task trebles the labels: more are useless
-        return RouteTable(vehicle, most, self.local.objective)
+        return most
 
     @cached_property
     def penalty(self) -> Vec:

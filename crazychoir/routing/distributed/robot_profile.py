@@ -60,7 +60,7 @@ def introduce_robots(member: RoutingMember) -> Exchange[dict[int, LocalProblem]]
 
 
 def restrict_problem(local: LocalProblem, chosen: Ints) -> LocalProblem:
-    """Return the problem of the same robot with the tasks `chosen` alone, (K,) increasing."""
+    """Return the problem of the same robot with the tasks `chosen` alone, (K,) in any order."""
     tasks = local.tasks
     m = len(local.tasks)
     stops = np.concatenate([chosen, m + chosen])

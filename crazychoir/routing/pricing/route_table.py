@@ -6,7 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from crazychoir.errors import InstanceError, SolverError
-from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES, Vehicle
+from crazychoir.routing.instance.vehicle import (
+    OBJECTIVE_NAMES,
+    ROUNDING_SLACK,
+    Vehicle,
+)
 from crazychoir.routing.pricing.label_setting import (
     FinalLabels,
     compute_final_labels,
@@ -129,6 +133,34 @@ class RouteTable:
             self._where = {self.column(c).tasks: c for c in range(len(self))}
         c = self._where.get(tuple(sorted(tasks)))
         return None if c is None else self.column(c)
+
+
+def exceeds_label_limit(vehicle: Vehicle, most: int) -> bool:
+    """Return whether a table needs more than `most` labels, as far as this is known without one.
+
+    Without limits on length, time and trips, the robot can have any set A of tasks on board that it
+    can carry, after the delivery of any other set D. The last stop is a pickup of A, or a delivery
+    of D if A is empty:
+
+        labels >= sum_A |A| 2^(m - |A|) + m 2^(m - 1),   m = number of tasks that it can serve
+
+    Returns False if the robot has such limits or goods on board: then only a table can tell.
+    """
+    if vehicle.timed or np.isfinite(vehicle.farthest) or vehicle.aboard.any():
+        return False
+    loads = vehicle.load[vehicle.servable].tolist()
+    loaded = {(0, 0.0): 1}  # number of sets A, by their size and load
+    for done, load in enumerate(loads, 1):
+        for (size, weight), count in list(loaded.items()):
+            if weight + load <= vehicle.capacity + ROUNDING_SLACK:
+                key = (size + 1, weight + load)
+                loaded[key] = loaded.get(key, 0) + count
+        labels = done * 2 ** (done - 1)
+        for (size, _), count in loaded.items():
+            labels += size * count * 2 ** (done - size)
+        if labels > most:
+            return True
+    return False
 
 
 def find_shortest_route(

@@ -38,6 +38,7 @@ from crazychoir.routing.distributed.robot_profile import (
     introduce_robots,
     restrict_problem,
 )
+from crazychoir.routing.distributed.team_order import TeamOrder
 from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
@@ -243,7 +244,8 @@ def test_nothing_is_saved_by_leaving_a_task_out_that_costs_more_than_any_plan(
 
 def test_clusters_are_disjoint_hold_every_task_and_differ_from_pass_to_pass():
     instance = random_instance(12, 20, 5)
-    near = Neighbors({i: instance.local(i) for i in range(12)})
+    robots = {i: instance.local(i) for i in range(12)}
+    near = Neighbors(robots, TeamOrder.of(robots))
     routes = {i: [i, 20 + i] for i in range(10)}
     draws = [near.draw(routes, (5, 6), 2, [k]) for k in range(8)]
     for clusters in draws:
@@ -269,7 +271,8 @@ def test_robots_with_neighbouring_routes_are_near():
         "load": [1.0] * 4,
     }
     instance = Instance.parse(raw | {"capacity": [4.0] * 3})
-    near = Neighbors({i: instance.local(i) for i in range(3)})
+    robots = {i: instance.local(i) for i in range(3)}
+    near = Neighbors(robots, TeamOrder.of(robots))
     far = near.nearness({0: [0, 4], 1: [1, 5], 2: [2, 6]})
     assert far[0, 1] < 1.0 < 5.0 < far[0, 2]
     np.testing.assert_array_equal(far, far.T)
@@ -279,7 +282,7 @@ def test_a_cluster_gets_better_and_keeps_its_tasks():
     instance = random_instance(4, 8, 2, InstanceShape(capacities=(5, 5)))
     robots = {i: instance.local(i) for i in range(4)}
     routes = {i: [i, 8 + i, 4 + i, 12 + i] for i in range(4)}
-    near = Neighbors(robots)
+    near = Neighbors(robots, TeamOrder.of(robots))
     (cluster,) = near.draw(routes, (8, 40), 1, [0])
     new = reoptimize_cluster(robots, routes, cluster, np.full(8, 1e3), 500, 1)
     assert list_unserved_tasks(new, 8) == []

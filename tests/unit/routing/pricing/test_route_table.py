@@ -8,7 +8,11 @@ from hypothesis import strategies as st
 from crazychoir.errors import SolverError
 from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
-from crazychoir.routing.pricing.route_table import RouteTable, find_shortest_route
+from crazychoir.routing.pricing.route_table import (
+    RouteTable,
+    exceeds_label_limit,
+    find_shortest_route,
+)
 
 
 def brute_force(local, tasks):
@@ -170,3 +174,21 @@ def test_columns_are_in_the_order_of_length_and_tasks():
     assert columns == sorted(columns)
     assert len({c.tasks for c in columns}) == len(columns)
     assert all(len(set(c.tasks)) == len(c.tasks) for c in columns)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_table_that_is_said_to_need_too_many_labels_does(seed):
+    instance = random_instance(1, 7, seed)
+    vehicle = instance.local(0).vehicle
+    mosts = [500, 1000, 2000, 4000, 8000, 16_000]
+    told = [exceeds_label_limit(vehicle, most) for most in mosts]
+    complete = [RouteTable(vehicle, most).complete for most in mosts]
+    assert told[0]
+    assert not told[-1]
+    assert not any(a and b for a, b in zip(told, complete, strict=True))
+
+
+def test_a_limit_leaves_the_number_of_labels_open():
+    shape = InstanceShape(route_length_limit=25.0)
+    vehicle = random_instance(1, 20, 1, shape).local(0).vehicle
+    assert not exceeds_label_limit(vehicle, 10)
