@@ -67,8 +67,8 @@ class PickupDelivery(Program[Solution]):
     settings: constants that all robots share.
     All robots finish in the same round, with the same plan digest, cost and bound.
     Raises ConfigError for an unknown method, for a method of PRICE_METHODS if prices do not add up to
-    the objective, and for a method of CLAIM_METHODS if tasks may be refused. Raises SolverError if
-    the team cannot agree on a plan.
+    the objective or routes are too many to list, and for a method of CLAIM_METHODS if tasks may be
+    refused. Raises SolverError if the team cannot agree on a plan.
     """
 
     heavy = True
@@ -96,6 +96,8 @@ class PickupDelivery(Program[Solution]):
             local.robot, n, tuple(sorted(neighbors)), diameter, dict(degree_of)
         )
         self._member = RoutingMember(local, place, settings or RoutingSettings())
+        if method in PRICE_METHODS:
+            _require_table(self._member, method)
         self._method = method
         self.history: list[tuple[int, float | None, float | None]] = []
         """(round, value of the relaxation, cost of the best plan) after each change.
@@ -325,6 +327,19 @@ def _require_prices(local: LocalProblem, method: str) -> None:
         allowed = f"the total first and no priorities, as prices of tasks add up; or the methods {', '.join(able)}"
         raise ConfigError(
             f"method {method}", found, allowed, "Take columns, or change the instance."
+        )
+
+
+def _require_table(member: RoutingMember, method: str) -> None:
+    """Raise ConfigError if it is known that the routes of this robot are too many to list."""
+    if member.is_table_hopeless:
+        local = member.local
+        able = [name for name in PLANNING_METHODS if name not in PRICE_METHODS]
+        raise ConfigError(
+            f"method {method}: tasks that robot {local.robot} can serve",
+            f"{len(local.servable)}, with no limit on its route: too many routes to list them",
+            f"fewer tasks, or routes with a limit; or the methods {', '.join(able)}",
+            "Take columns, or give route_length_limit.",
         )
 
 

@@ -571,3 +571,12 @@ def test_robots_with_different_plans_notice_it_all_in_the_same_round(
                 failed.append(str(error))
     assert len(failed) == 2
     assert all(what in text for text in failed)
+
+
+@pytest.mark.parametrize("method", ["resource", "resource-columns", "resource-argmax"])
+def test_price_methods_refuse_routes_that_cannot_be_listed_before_computing(
+    graph, method
+):
+    instance = random_instance(2, 15, 1)
+    with pytest.raises(ConfigError, match="too many routes to list"):
+        make_team(instance, graph("ring", 2), method)
