@@ -39,9 +39,16 @@ def network_rules(
     An effect of 0 makes no rule in [network]. In [[network.edges]] it replaces the effect of [network].
 
     network: effects with the names of a swarm file
-    more: further effects on all edges, with the names of EdgeEffects; they replace those of network
+    more: further effects on all edges, with the names of EdgeEffects, or `burst`; they replace those
+        of network
+    Raises ConfigError for a burst in `more` without a loss, or too short for it.
     """
-    effects = _nonzero_effects(network) | dict(more or {})
+    told = dict(more or {})
+    if (burst := told.pop("burst", None)) is not None:
+        loss = told.pop("loss", network.loss)
+        network = msgspec.structs.replace(network, burst=burst, loss=loss)
+        require_loss_of_burst(network)
+    effects = _nonzero_effects(network) | told
     rules = [ImpairmentRule(effects)] if effects else []
     return rules + [_edge_rule(edge) for edge in network.edges]
 

@@ -67,7 +67,8 @@ def simulate(
     agents: {id: agent}, one for each node of the graph
     graph: communication graph, or a sequence of graphs
     loss: share of messages that are lost
-    network: more effects of the network, with the names of EdgeEffects, such as {"delay": 0.01}
+    network: more effects of the network, with the names of EdgeEffects, such as {"delay": 0.01}, or
+        {"burst": 4}: with `loss`, mean number of messages that are lost in a row
     seed: seed of the losses and of the random times
     rounds: largest number of rounds; None for no limit but MOST_ROUNDS
     record: attributes of each agent to keep after each step; None for x, if all agents have one

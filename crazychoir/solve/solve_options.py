@@ -20,6 +20,8 @@ class SolveOptions:
     """Seed of the graph and of the losses."""
     settings: RoutingSettings = field(default_factory=RoutingSettings)
     """Settings of the method."""
+    burst: float | None = None
+    """Mean number of messages that are lost in a row; None if losses are independent."""
 
 
 DEFAULT_SOLVE_OPTIONS = SolveOptions()

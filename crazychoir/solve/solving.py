@@ -50,11 +50,12 @@ def solve_here(
     neighbors = {i: list(links.neighbors(i)) for i in links.ids}
     agents = make_team(instance, neighbors, options.method, options.settings)
     started = time.perf_counter() - began
+    bursts = {} if options.burst is None else {"burst": options.burst}
     history = simulate(
         agents,
         links,
         loss=options.loss,
-        network={"delay": 0.0},
+        network={"delay": 0.0} | bursts,
         seed=options.seed,
         record=(),
         watch=watch,

@@ -52,7 +52,6 @@ def solve_in_processes(
     processes: int,
     options: SolveOptions = DEFAULT_SOLVE_OPTIONS,
     *,
-    burst: float | None = None,
     deadline: float = SOLVE_DEADLINE,
     watch: Callable[[Progress], None] | None = None,
 ) -> dict[str, Any]:
@@ -75,7 +74,6 @@ def solve_in_processes(
     instance: the pickup-and-delivery problem
     processes: number of processes
     options: method, network and seed
-    burst: mean number of messages that are lost in a row; None if losses are independent
     deadline: s, limit of the whole solution
     watch: called with the progress of all robots, or None
     Raises InstanceError, ConfigError, or ProcessFailed if a process fails, ends, or is silent for
@@ -93,7 +91,7 @@ def solve_in_processes(
         raise ConfigError(
             "method", options.method, ", ".join(PLANNING_METHODS), "Choose one of them."
         )
-    network = NetworkTable(loss=options.loss, burst=burst)
+    network = NetworkTable(loss=options.loss, burst=options.burst)
     require_loss_of_burst(network)
     parts = [
         part.tolist() for part in np.array_split(np.arange(instance.robots), processes)

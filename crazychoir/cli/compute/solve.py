@@ -1,5 +1,6 @@
 """crazychoir solve: a team of robots solves a pickup-and-delivery instance, without flight."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -43,6 +44,14 @@ def solve(
     loss: Annotated[
         float, options.share("Share of messages between robots that is lost.")
     ] = 0.0,
+    burst: Annotated[
+        float | None,
+        options.real(
+            "Messages that are lost in a row, on average; else losses are independent.",
+            least=1.0,
+            most=1e9,
+        ),
+    ] = None,
     graph: Annotated[
         str,
         typer.Option(
@@ -104,6 +113,7 @@ def solve(
         problem = Instance.load(instance)
         with naming_options():
             how = choose_solve_options(problem, method, loss, graph, seed, prove)
+        how = replace(how, burst=burst)
         if processes is None:
             with LiveTable(_team_table, enabled=not as_json) as shown:
                 result = solve_here(problem, how, watch=shown)

@@ -106,6 +106,20 @@ def test_the_history_is_the_same_to_the_last_bit_at_40_percent_loss(graph):
     assert lossy.lost == pytest.approx(0.4 * lossy.messages, rel=0.2)
 
 
+def test_bursts_lose_other_messages_and_change_no_value():
+    def run(**network):
+        agents = {i: MaxConsensus(i, float(i), 40) for i in range(6)}
+        return simulate(agents, ring(6), loss=0.3, network=network, seed=1)
+
+    alone = run()
+    bursts = run(burst=4.0)
+    assert bursts.lost != alone.lost
+    assert bursts.results == alone.results
+    agents = {i: MaxConsensus(i, float(i), 2) for i in range(2)}
+    with pytest.raises(ConfigError, match="burst: found 4 with loss 0"):
+        simulate(agents, path(2), network={"burst": 4.0})
+
+
 def test_it_repeats_with_the_same_seed():
     first, again, other = (
         simulate(averaging(ring(5)), ring(5), loss=0.4, seed=seed) for seed in (1, 1, 2)
