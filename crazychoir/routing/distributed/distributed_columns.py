@@ -19,6 +19,7 @@ from crazychoir.routing.distributed.clusters import (
     list_served_tasks,
 )
 from crazychoir.routing.distributed.gossip import Gossip
+from crazychoir.routing.distributed.infeasibility import explain_missing_tasks
 from crazychoir.routing.distributed.large_bound import LargeBound
 from crazychoir.routing.distributed.member import RoutingMember
 from crazychoir.routing.distributed.plan_measure import PlanMeasure, is_better
@@ -260,9 +261,9 @@ class DistributedColumns:
         Raises SolverError if the proof says that there is no plan.
         """
         if proof.infeasible:
-            why = "each can be served alone, but not all together within capability, capacity and route_length_limit"
+            why = "each can be served alone, but not all together (proven)"
             raise SolverError(
-                f"infeasible: no plan serves every task; {why} (robot {self._i})",
+                f"infeasible: no plan serves every task; {why}; {self._obstacle()} (robot {self._i})",
                 "infeasible",
             )
         if proof.best is None:
@@ -288,9 +289,18 @@ class DistributedColumns:
     ) -> TaskPartition:
         left = self._measure.list_missing_tasks(self.routes)
         if left:
-            why = f"incomplete: no plan found that serves task(s) {', '.join(map(str, left))}"
+            tasks = ", ".join(map(str, left))
+            why = f"infeasible, not proven: no plan found that serves task(s) {tasks}; {self._obstacle()}"
             raise SolverError(f"robot {self._i}: clusters", why)
         return TaskPartition(self._sets(), bound, self.routes, relaxation)
+
+    def _obstacle(self) -> str:
+        return explain_missing_tasks(
+            self._robots,
+            self._order,
+            self._left_out,
+            self._member.settings.search.first_steps,
+        )
 
     def _sets(self) -> dict[int, tuple[int, ...]]:
         sets = {
