@@ -10,7 +10,7 @@ from crazychoir.errors import ConfigError
 from crazychoir.platforms import Platform, find_platform
 from crazychoir.simulation.common.mismatch import (
     apply_model_errors,
-    find_equivalent_platform,
+    find_lightweight_platform,
 )
 from crazychoir.simulation.lightweight.integrator import CFIntegrator
 from crazychoir.simulation.motor_level.crazyflies import CrazyflieWorld
@@ -226,7 +226,7 @@ class LightweightEnvWorld:
 
     def begin(self, row: int, drawn: DrawnDrone, p: Vec, yaw: float) -> None:
         """Let a drone hover at rest at p (3,) m, world, with this heading in rad."""
-        body = find_equivalent_platform(
+        body = find_lightweight_platform(
             self._platforms[drawn.platform], drawn.mass_error, drawn.thrust_error
         )
         self._world.replace_body(row, body)
