@@ -15,10 +15,10 @@ import pytest
 from system.agents import AGENT, BRISK, CRAZYCHOIR, Program, Team, until
 from system.commands import call
 
-from crazychoir.cli.shared import observer as window
 from crazychoir.config.addresses import Addresses
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import list_mission_names, load_mission
+from crazychoir.launch import observer as window
 from crazychoir.launch.flight import MISSION_REASONS, fly_fast
 from crazychoir.launch.network import isolate_swarm
 

@@ -17,10 +17,10 @@ from system.agents import BRISK
 from crazychoir.bus.topics import OBSERVABLE_TOPICS
 from crazychoir.cli.recordings.record import _wait_until_gone
 from crazychoir.cli.recordings.replay import _replay
-from crazychoir.cli.shared.observer import Window
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.network import isolate_swarm, make_observer_link, run_attached
+from crazychoir.launch.observer import Window
 from crazychoir.launch.recording import make_recording
 from crazychoir.recording.analysis import plots
 from crazychoir.recording.analysis.figures import recorded_flight

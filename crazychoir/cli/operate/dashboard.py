@@ -13,7 +13,7 @@ from crazychoir.launch import number_options as options
 from crazychoir.launch.console import ERROR_CONSOLE, exit_with_error
 
 if TYPE_CHECKING:
-    from crazychoir.cli.shared.observer import Window
+    from crazychoir.launch.observer import Window
 
 LOOPBACK_ADDRESS = "127.0.0.1"
 """Address of the loopback."""

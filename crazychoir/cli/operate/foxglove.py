@@ -14,7 +14,7 @@ from crazychoir.launch import number_options as options
 from crazychoir.launch.console import ERROR_CONSOLE, exit_with_error
 
 if TYPE_CHECKING:
-    from crazychoir.cli.shared.observer import Window
+    from crazychoir.launch.observer import Window
 
 FOXGLOVE_INSTALL_HINT = "the SDK of Foxglove: pip install 'crazychoir[foxglove]'"
 FOXGLOVE_PORT = 8765

@@ -12,7 +12,7 @@ from crazychoir.launch import number_options as options
 from crazychoir.launch.console import ERROR_CONSOLE, exit_with_error
 
 if TYPE_CHECKING:
-    from crazychoir.cli.shared.observer import Answers, Window
+    from crazychoir.launch.observer import Answers, Window
 
 DRAWING_START_TIMEOUT = 60.0
 """Seconds that drones get to reach the start of a drawing, beside the duration of the drawing."""

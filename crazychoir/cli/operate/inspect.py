@@ -23,7 +23,7 @@ from crazychoir.launch.console import (
 
 if TYPE_CHECKING:
     from crazychoir.bus.topics import Topic
-    from crazychoir.cli.shared.observer import Answers, Window, Work
+    from crazychoir.launch.observer import Answers, Window, Work
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.launch.flight_observer import FlightScore
 

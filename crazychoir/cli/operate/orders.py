@@ -14,7 +14,7 @@ from crazychoir.launch import number_options as options
 from crazychoir.launch.console import ANSWER_CONSOLE, exit_with_error, write_json
 
 if TYPE_CHECKING:
-    from crazychoir.cli.shared.observer import Answers, Window
+    from crazychoir.launch.observer import Answers, Window
 
 DronesOption = Annotated[
     str | None, typer.Option("--drones", help="Only these drones, as 3,5-7; else all.")

@@ -18,7 +18,7 @@ from crazychoir.launch.console import (
 )
 
 if TYPE_CHECKING:
-    from crazychoir.cli.shared.observer import Answers, Window
+    from crazychoir.launch.observer import Answers, Window
 
 app = typer.Typer(no_args_is_help=True, help="Read and change parameters in flight.")
 FirmwareOption = Annotated[

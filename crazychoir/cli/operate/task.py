@@ -17,7 +17,7 @@ from crazychoir.launch.console import (
 )
 
 if TYPE_CHECKING:
-    from crazychoir.cli.shared.observer import Answers, Window
+    from crazychoir.launch.observer import Answers, Window
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from crazychoir.launch.console import (
 )
 
 if TYPE_CHECKING:
-    from crazychoir.cli.shared.observer import Window
+    from crazychoir.launch.observer import Window
     from crazychoir.recording.recorder import Recorder
 
 PRESENCE_CHECK_PERIOD = 0.25
@@ -129,7 +129,7 @@ async def _wait_until_gone(
     The limit without a drone is longer than the network may be interrupted.
     Returns a text that says which of the three it was.
     """
-    from crazychoir.cli.shared.running_swarm import (
+    from crazychoir.launch.running_swarm import (
         NEXT_PROCESS_TIMEOUT,
     )  # takes 1 s, which --help does not need
 

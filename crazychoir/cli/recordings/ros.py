@@ -11,7 +11,7 @@ from crazychoir.cli.operate.inspect import SwarmOption, run_as_observer
 from crazychoir.launch import number_options as options
 
 if TYPE_CHECKING:
-    from crazychoir.cli.shared.observer import Window
+    from crazychoir.launch.observer import Window
 
 ROUTER_ENDPOINT = "tcp/127.0.0.1:7447"
 """Endpoint of `rmw_zenohd`."""

@@ -14,24 +14,24 @@ import pytest
 from other_user import as_user, require
 
 from crazychoir.api.flight_request import FlightRequest
-from crazychoir.cli.shared import running_swarm as meant
-from crazychoir.cli.shared.running_swarm import (
-    NEXT_PROCESS_TIMEOUT,
-    SWARM_SEARCH,
-    first_process_timeout,
-    no_agent_error,
-    running_swarm,
-)
 from crazychoir.config.addresses import Addresses
 from crazychoir.config.swarm_config import SwarmConfig, default_swarm, demo_swarm
 from crazychoir.errors import Refused
 from crazychoir.files.user_folders import private_folder_of
 from crazychoir.launch import run_registry as running
+from crazychoir.launch import running_swarm as meant
 from crazychoir.launch.run_registry import (
     RunRecord,
     list_own_runs,
     list_runs_of_file,
     record_run,
+)
+from crazychoir.launch.running_swarm import (
+    NEXT_PROCESS_TIMEOUT,
+    SWARM_SEARCH,
+    first_process_timeout,
+    no_agent_error,
+    running_swarm,
 )
 
 LAB = default_swarm(2).replace(name="lab")

@@ -10,10 +10,10 @@ from typer.testing import CliRunner
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.cli.main import app
-from crazychoir.cli.shared.observer import Window
-from crazychoir.cli.shared.running_swarm import NEXT_PROCESS_TIMEOUT
 from crazychoir.config.swarm_config import default_swarm
+from crazychoir.launch.observer import Window
 from crazychoir.launch.recording import FILES_KEY, describe_flight
+from crazychoir.launch.running_swarm import NEXT_PROCESS_TIMEOUT
 from crazychoir.recording.mcap.file import RecordingFile
 from crazychoir.recording.mcap.reading import read_header
 from crazychoir.runtime.clock import run_virtual

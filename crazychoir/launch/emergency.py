@@ -11,13 +11,13 @@ from typing import Protocol
 
 from crazychoir.bus.commands import Commander
 from crazychoir.bus.port import PORT_ADDRESSES
-from crazychoir.cli.shared.running_swarm import (
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.launch.running_swarm import (
     NEXT_PROCESS_TIMEOUT,
     SWARM_SEARCH,
     no_agent_error,
     starting_text,
 )
-from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.runtime.clock import Clock
 from crazychoir.team.graph import describe_ids
 

@@ -13,19 +13,21 @@ from crazychoir.bus.commands import (
 from crazychoir.bus.network.zenoh_link import ZenohLink
 from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.bus.topics import Topic
-from crazychoir.cli.shared.emergency import ABSENT_ANSWER, EmergencyStop
-from crazychoir.cli.shared.running_swarm import (
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.errors import ConfigError, Refused
+from crazychoir.launch.emergency import ABSENT_ANSWER, EmergencyStop
+from crazychoir.launch.network import REPLAY_HOST, make_observer_link, run_attached
+from crazychoir.launch.running_swarm import (
     NEXT_PROCESS_TIMEOUT,
     SWARM_SEARCH,
+    ChooseRun,
     first_process_timeout,
     no_agent_error,
+    refuse_choice,
     running_swarm,
     runs_here,
     starting_text,
 )
-from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.errors import ConfigError, Refused
-from crazychoir.launch.network import REPLAY_HOST, make_observer_link, run_attached
 from crazychoir.runtime.clock import Clock, run_wall
 from crazychoir.runtime.mailbox import Call
 from crazychoir.team.graph import describe_ids
@@ -174,7 +176,11 @@ class Window:
         return await self._ask(lambda i: self._request(i, verb, arguments), drones)
 
     async def order(
-        self, verb: str, drones: Iterable[int] | None, seconds: float
+        self,
+        verb: str,
+        drones: Iterable[int] | None,
+        seconds: float,
+        **arguments: Any,
     ) -> Answers:
         """Send a flight command to these drones; None means all.
 
@@ -183,7 +189,9 @@ class Window:
         Returns for each drone whether it is done, and the kind of its answer with a text, such as
         "refused" and the reason.
         """
-        return await self._ask(lambda i: self._order(i, verb, seconds, {}), drones)
+        return await self._ask(
+            lambda i: self._order(i, verb, seconds, arguments), drones
+        )
 
     async def command(
         self, verb: str, told: Mapping[int, Mapping[str, Any]], seconds: float
@@ -291,15 +299,23 @@ class Window:
                 task.cancel()
 
 
-def observe_swarm(swarm: str | None, work: Work) -> Any:
+def observe_swarm(
+    swarm: str | None,
+    work: Work,
+    choose: ChooseRun = refuse_choice,
+    begin: Callable[[SwarmConfig], None] = lambda config: None,
+) -> Any:
     """Join a running swarm as an observer, do the work, leave, and return the result of the work.
 
     swarm: path of the swarm file; None as in `running_swarm`
     work: coroutine function that gets the `Window` on the swarm
+    choose: as in `running_swarm`
+    begin: called with the swarm before it is joined
     """
 
     async def main(clock: Clock) -> Any:
-        config = running_swarm(swarm)
+        config = running_swarm(swarm, choose)
+        begin(config)
         link = make_observer_link(clock, config)
         async with run_attached(link):
             return await work(

@@ -1,6 +1,7 @@
 """The running swarm that a command means, and how long to wait for its drones."""
 
 import socket
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,30 +46,42 @@ NOT_STARTED_HINT = (
 )
 
 
-def running_swarm(option: str | None) -> SwarmConfig:
+ChooseRun = Callable[[list[RunRecord]], RunRecord]
+"""Returns one of several runs that could be meant, or raises Refused."""
+
+
+def refuse_choice(found: list[RunRecord]) -> RunRecord:
+    """Raise Refused with a text that names these runs."""
+    raise Refused(
+        "crazychoir", f"several of your runs could be meant. {run_choice_text(found)}"
+    )
+
+
+def running_swarm(option: str | None, choose: ChooseRun = refuse_choice) -> SwarmConfig:
     """Return the running swarm that a command means.
 
     With a swarm file, or ./swarm.toml, this is the run of that file on this machine. Without such
     a run it is the swarm of the file itself, with agents started by hand. Without a file it is the
     only run of this user, else the demo swarm if its agents are there.
-    Raises Refused if several runs are possible, or if there is none.
+
+    choose: called if several runs are possible
+    Raises Refused if there is none, and all errors of `choose`.
     """
     file = option or (LOCAL_SWARM_FILE if Path(LOCAL_SWARM_FILE).is_file() else None)
     found = list_own_runs() if file is None else list_runs_of_file(file)
     if len(found) > 1:
-        raise Refused(
-            file or "crazychoir",
-            f"several of your runs could be meant. {run_choice_text(found)}",
-        )
+        found = [choose(found)]
     if found or file is not None:
         return SwarmConfig.load(found[0].file if found else str(file))
     if first_process_timeout(demo := find_swarm()[0]) == 0.0:
         raise no_agent_error(demo, None)
-    from crazychoir.cli.shared.chosen_swarm import (
-        chosen_swarm,
+    from crazychoir.guidance.mission import (
+        has_hook,
+        load_mission,
     )  # takes 1 s, for which other commands need not wait
 
-    return chosen_swarm(None)[0]
+    mission = load_mission(str(demo.mission))
+    return mission.swarm(None) if has_hook(mission, "swarm") else demo
 
 
 def run_choice_text(found: list[RunRecord]) -> str:

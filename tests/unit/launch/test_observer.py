@@ -8,14 +8,14 @@ import pytest
 
 from crazychoir.bus.commands import ANSWER_TEXTS, CommandServer
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
-from crazychoir.cli.shared.emergency import OBEY_TIMEOUT
-from crazychoir.cli.shared.observer import (
+from crazychoir.config.swarm_config import SwarmConfig, default_swarm
+from crazychoir.errors import ConfigError, Refused
+from crazychoir.launch.emergency import OBEY_TIMEOUT
+from crazychoir.launch.observer import (
     NEXT_PROCESS_TIMEOUT,
     NOT_READY_TIMEOUT,
     Window,
 )
-from crazychoir.config.swarm_config import SwarmConfig, default_swarm
-from crazychoir.errors import ConfigError, Refused
 from crazychoir.runtime.clock import run_virtual
 
 

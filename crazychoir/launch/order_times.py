@@ -1,0 +1,18 @@
+"""How long an operator waits for a flight command, by command."""
+
+ORDER_TIMEOUTS = {
+    "arm": 5.0,
+    "take-off": 30.0,
+    "start": 5.0,
+    "hold": 5.0,
+    "go": 5.0,
+    "land": 60.0,
+    "home": 120.0,
+    "go-to": 120.0,
+    "velocity": 10.0,
+    "fly": 60.0,
+}
+"""Seconds to wait until a command is done, beside the duration that was asked for.
+
+A flight along a trajectory gets this time to reach the start, beside the duration of the trajectory.
+"""
