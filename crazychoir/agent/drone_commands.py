@@ -21,7 +21,7 @@ class DroneCommands:
     """Executes the commands of operators at one drone, each by the method of its verb.
 
     drone: the drone
-    orders: its commands without arguments, such as take-off
+    orders: its commands that change its mode, such as take-off
     hear_console: called when an operator's console reports that it is there
     """
 
@@ -38,6 +38,7 @@ class DroneCommands:
         self._changes: Mapping[str, CommandMethod] = {
             **{verb: partial(self._order, verb) for verb in orders.verbs},
             "go-to": steering.go_to,
+            "velocity": steering.move,
             "fly": steering.fly,
             "impair": self._impair,
             "param_set": self._set_parameter,
@@ -84,7 +85,7 @@ class DroneCommands:
             drone.pilot.cut("emergency stop")
 
     async def _order(self, verb: str, arguments: Arguments) -> str:
-        return await self._orders.execute(verb)
+        return await self._orders.execute(verb, arguments)
 
     async def _impair(self, arguments: Arguments) -> dict[str, Any]:
         network = self.drone.port.bus.impairment

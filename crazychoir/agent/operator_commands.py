@@ -5,8 +5,14 @@ Each command is refused with the reason, or done when its effect is complete.
 
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import Any, NoReturn
 
+from crazychoir.agent.command_arguments import (
+    CommandArguments,
+    LandArguments,
+    TakeOffArguments,
+    convert_arguments,
+)
 from crazychoir.agent.drone import Drone
 from crazychoir.agent.mission_result import MISSION_REASONS
 from crazychoir.agent.mission_runner import MISSION_TIMES
@@ -16,13 +22,14 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
 from crazychoir.flight.homecoming import compute_return_height
-from crazychoir.guidance.flights import FLYING_MODES
+from crazychoir.guidance.flights import FLYING_MODES, OBEYING_GATE
 from crazychoir.guidance.member import (
     HELD_FLIGHT_PATIENCE,
     Member,
     describe_state,
     wait_for_touchdown,
 )
+from crazychoir.planning.landing import Descent
 from crazychoir.runtime.mailbox import Latest
 from crazychoir.safety.rules.guard import EDGE_MARGIN
 from crazychoir.safety.rules.modes import Mode, ModeEvent
@@ -70,6 +77,13 @@ GROUNDED_PHASES = (Mode.GROUND.value, Mode.CUT.value)
 """Phases of a drone that does not fly."""
 
 
+ORDER_ARGUMENTS: dict[ModeEvent, type[CommandArguments]] = {
+    ModeEvent.TAKE_OFF: TakeOffArguments,
+    ModeEvent.LAND: LandArguments,
+}
+"""Arguments of the commands that have some."""
+
+
 class OperatorCommands:
     """The commands of one drone's operator.
 
@@ -95,7 +109,7 @@ class OperatorCommands:
         self.over = over
         self.arm = arm
         self._others: _OtherDrones | None = None
-        self._methods: dict[ModeEvent, Callable[[], Awaitable[str]]] = {
+        self._methods: dict[ModeEvent, Callable[[Any], Awaitable[str]]] = {
             ModeEvent.ARM: self._arm,
             ModeEvent.TAKE_OFF: self._take_off,
             ModeEvent.START: self._start,
@@ -110,15 +124,17 @@ class OperatorCommands:
         """The commands that are executed here. An emergency stop has its own way."""
         return [command.value for command in self._methods]
 
-    async def execute(self, verb: str) -> str:
+    async def execute(self, verb: str, arguments: dict[str, Any]) -> str:
         """Execute a command, and return its outcome.
 
-        Raises Refused with the reason.
+        Raises Refused with the reason, and ConfigError for wrong arguments.
         """
         command = ModeEvent(verb)
+        kind = ORDER_ARGUMENTS.get(command, CommandArguments)
+        asked = convert_arguments(verb, arguments, kind)
         if why := self.drone.pilot.permission.refuses(command):
             self._refuse(why)
-        return await self._methods[command]()
+        return await self._methods[command](asked)
 
     def _refuse(self, why: str) -> NoReturn:
         raise Refused(f"drone {self.drone.id}", why)
@@ -128,11 +144,12 @@ class OperatorCommands:
         guidance = self.drone.guidance
         if over := self.over():
             self._refuse(f"its mission is over: {over}")
-        if not self.config.flight.operator:
+        awaits_start = self.drone.pilot.permission.awaits_start
+        if not (self.config.flight.operator or awaits_start):
             self._refuse(
                 f"its mission does not wait for a start: {ORDER_TEXTS.waiting_advice}"
             )
-        if not self.drone.pilot.permission.awaits_start:
+        if not awaits_start:
             self._refuse("its mission has started")
         if not hasattr(guidance, "member") or not guidance.member.gate:
             self._refuse(
@@ -142,7 +159,18 @@ class OperatorCommands:
             self._refuse(f"it {guidance.member.report()['task']}")
         return guidance.member
 
-    async def _arm(self) -> str:
+    @property
+    def _obeys(self) -> bool:
+        """Whether the mission does nothing but obey its operator until it has landed."""
+        guidance = self.drone.guidance
+        return hasattr(guidance, "member") and guidance.member.gate == OBEYING_GATE
+
+    def _end_mission(self, reason: str) -> None:
+        """End the mission, unless it ends by itself when the drone has landed."""
+        if not self._obeys:
+            self.abort(reason)
+
+    async def _arm(self, asked: CommandArguments) -> str:
         """Check the conditions of a take-off now, then arm motors that wait for arming."""
         pilot = self.drone.pilot
         if why := pilot.unready()[1]:
@@ -151,10 +179,12 @@ class OperatorCommands:
             self._refuse(ORDER_TEXTS.unseen)
         return ORDER_TEXTS.ready if self.arm is None else await self.arm()
 
-    async def _take_off(self) -> str:
+    async def _take_off(self, asked: TakeOffArguments) -> str:
         member = self._gate("take-off")
         pilot = self.drone.pilot
-        seconds = pilot.take_off(member.rise)
+        self.drone.guidance.require_height(asked.height, "take-off")
+        height = member.rise if asked.height is None else asked.height
+        seconds = pilot.take_off(height, asked.duration)
         if seconds == 0.0:
             self._refuse(pilot.notes.text or ORDER_TEXTS.unseen)
         ends = pilot.clock.now() + seconds + ORDER_TIMES.take_off_allowance
@@ -164,35 +194,36 @@ class OperatorCommands:
             self._refuse(describe_state(pilot))
         return pilot.mode.value
 
-    async def _start(self) -> str:
+    async def _start(self, asked: CommandArguments) -> str:
         self._gate("start")
         self.drone.pilot.permission.start()
         return "its mission goes on"
 
-    async def _hold(self) -> str:
+    async def _hold(self, asked: CommandArguments) -> str:
         pilot = self.drone.pilot
         pilot.hold()
         return "held" if pilot.airborne else "held on the ground"
 
-    async def _go_on(self) -> str:
+    async def _go_on(self, asked: CommandArguments) -> str:
         pilot = self.drone.pilot
         was_held = pilot.permission.held
         pilot.hold(on=False)
         return "goes on" if was_held else "was not held"
 
-    async def _land(self) -> str:
-        self.drone.pilot.land("landing on command")
-        self.abort(MISSION_REASONS.landed)
+    async def _land(self, asked: LandArguments) -> str:
+        descent = Descent(asked.height, asked.duration)
+        self.drone.pilot.land("landing on command", descent=descent)
+        self._end_mission(MISSION_REASONS.landed)
         return await self._on_the_ground()
 
-    async def _home(self) -> str:
+    async def _home(self, asked: CommandArguments) -> str:
         """Return home above all other drones that it hears of.
 
         Drones that return at the same time have different levels.
         """
         drone = self.drone
         pilot = self.drone.pilot
-        self.abort(MISSION_REASONS.sent_home)
+        self._end_mission(MISSION_REASONS.sent_home)
         pilot.permission.commanded = False
         pilot.hover()
         self._others = self._others or _OtherDrones(

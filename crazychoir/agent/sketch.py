@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from crazychoir.agent.steering import MOST_PIECES, path_message
+from crazychoir.agent.command_arguments import MOST_PIECES, path_message
 from crazychoir.config.flight_room import largest_room
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import CollisionTable

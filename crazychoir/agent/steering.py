@@ -3,23 +3,28 @@
 The mission waits while the drone is held, and before the start.
 """
 
-from typing import Annotated, Any, NoReturn
+from typing import Any, NoReturn
 
-import msgspec
 import numpy as np
-from msgspec import Meta, Struct
 
+from crazychoir.agent.command_arguments import (
+    OnBoardFlight,
+    OperatorGoal,
+    OperatorVelocity,
+    convert_arguments,
+    convert_path,
+)
 from crazychoir.agent.drone import Drone
-from crazychoir.bus.codec import MAX_PAYLOAD
-from crazychoir.errors import ConfigError, Refused
+from crazychoir.errors import Refused
 from crazychoir.guidance.flights import FLIGHT_LIMITS
 from crazychoir.guidance.guidance import require_feasible
 from crazychoir.guidance.member import describe_state
 from crazychoir.guidance.turns import is_blocked
-from crazychoir.planning.piecewise import POLYNOMIAL_DEGREE, Piecewise
+from crazychoir.planning.piecewise import Piecewise
+from crazychoir.planning.point_to_point import PEAK_SPEED
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.simulation.remote import RemoteLink
-from crazychoir.types import Vec
+from crazychoir.types import FullState, Vec, Velocity
 
 STEERING_INTERVAL = 0.05
 """s: interval at which a flight is checked."""
@@ -31,31 +36,6 @@ FIRMWARE_DEADLINE = 4.5
 """s: longest time for an answer of a drone's firmware."""
 UPLOAD_DEADLINE = 30.0
 """s: longest time for the upload of a trajectory: 171 packets."""
-PIECE_SIZE = 8 * (4 * (POLYNOMIAL_DEGREE + 1) + 1)
-"""Bytes of a piece of a path in a message."""
-MOST_PIECES = MAX_PAYLOAD // PIECE_SIZE - 10
-"""Largest number of pieces of a path in one message."""
-Metres = Annotated[float, Meta(ge=-1000.0, le=1000.0)]
-
-
-class OperatorGoal(Struct, frozen=True, forbid_unknown_fields=True):
-    """A goal of an operator."""
-
-    p: tuple[Metres, Metres, Metres]
-    """(3,) m, world."""
-    yaw: Annotated[float, Meta(ge=-7.0, le=7.0)] | None = None
-    """rad. None: keep the present yaw."""
-    duration: Annotated[float, Meta(ge=0.0, le=600.0)] = 0.0
-    """s, or 0: as fast as the limits allow."""
-
-
-class OnBoardFlight(Struct, frozen=True, forbid_unknown_fields=True):
-    """How the planner on board flies an uploaded trajectory."""
-
-    timescale: Annotated[float, Meta(ge=0.05, le=20.0)] = 1.0
-    """Factor on its duration."""
-    reversed: bool = False
-    """Whether it is flown from its end to its start."""
 
 
 def require_firmware(drone: Drone) -> RemoteLink:
@@ -66,21 +46,6 @@ def require_firmware(drone: Drone) -> RemoteLink:
             "it has no firmware here: only drones with a uri udp:// or radio:// have",
         )
     return drone.remote
-
-
-def path_message(path: Piecewise) -> dict[str, Any]:
-    """Return the arguments of `fly`.
-
-    Raises ConfigError for a path that is too long for one message.
-    """
-    if len(path.durations) > MOST_PIECES:
-        raise ConfigError(
-            "path",
-            f"{len(path.durations)} pieces",
-            f"at most {MOST_PIECES}",
-            "Draw less at once.",
-        )
-    return {"coefficients": path.coefficients.copy(), "durations": path.durations}
 
 
 class Steering:
@@ -95,20 +60,43 @@ class Steering:
 
         Raises Refused with the reason if it does not get there.
         """
-        try:
-            goal = msgspec.convert(arguments, OperatorGoal)
-        except msgspec.ValidationError as error:
-            self._refuse(f"go-to: {error}; allowed: p [x, y, z] m, yaw rad, duration s")
+        goal = convert_arguments("go-to", arguments, OperatorGoal)
         self._require_cleared()
         self._require_steerable()
-        try:
-            place = self.drone.pilot.follower.require_goal(
-                "go-to", goal.p, goal.yaw, goal.duration
-            )
-        except ConfigError as error:
-            self._refuse(str(error))
-        await self._reach(place, goal.yaw, goal.duration, self._turn())
+        here = self._get_set_point()
+        wanted = np.array(goal.p)
+        yaw = goal.yaw
+        if goal.relative:
+            wanted = here.p + wanted
+            yaw = None if yaw is None else here.yaw + yaw
+        duration = goal.duration
+        if goal.speed is not None:
+            distance = float(np.linalg.norm(wanted - here.p))
+            duration = max(duration, PEAK_SPEED * distance / goal.speed)
+        place = self.drone.pilot.follower.require_goal("go-to", wanted, yaw, duration)
+        await self._reach(place, yaw, duration, self._turn())
         return "there"
+
+    async def move(self, arguments: dict[str, Any]) -> str:
+        """Fly with the OperatorVelocity in the arguments, then come to rest.
+
+        The fence and the collision filter act as on the velocity of a law.
+        Raises Refused with the reason if the drone is stopped on its way.
+        """
+        asked = convert_arguments("velocity", arguments, OperatorVelocity)
+        self._require_cleared()
+        self._require_steerable()
+        pilot = self.drone.pilot
+        turn = self._turn()
+        yaw = self._get_set_point().yaw
+        began = pilot.clock.now()
+        while (t := pilot.clock.now() - began) < asked.duration:
+            wanted = Velocity(np.array(asked.v), yaw + asked.yaw_rate * t)
+            if not pilot.follow(wanted, commanded=True):
+                self._refuse(pilot.notes.text)
+            await self._look(turn)
+        pilot.hover(commanded=True)
+        return "flown"
 
     async def fly(self, arguments: dict[str, Any]) -> str:
         """Go to the start of the path in the arguments, and fly the path.
@@ -119,28 +107,24 @@ class Steering:
         Raises Refused with the reason if the path is not flown.
         """
         self._require_cleared()
-        try:
-            path = Piecewise(arguments["coefficients"], arguments["durations"])
-            on_board = self._read_on_board(arguments)
-            if self.drone.pilot.airborne and not self.drone.pilot.permission.steerable:
-                return self.drone.guidance.led(path)
-            flown = path
-            if on_board is not None:
-                flown = path.slowed(on_board.timescale)
-                flown = flown.reversed() if on_board.reversed else flown
-            if is_relative := bool(arguments.get("relative", False)):
-                flown = self._shift_here(flown)
-            require_feasible(flown, self.drone.pilot)
-        except (ConfigError, KeyError, TypeError, ValueError) as error:
-            self._refuse(f"fly: {error}")
+        path, asked = convert_path(arguments)
+        pilot = self.drone.pilot
+        on_board = asked.on_board
+        flown = path if on_board is None else on_board.apply(path)
+        if asked.relative and pilot.airborne:
+            here = self._get_set_point().p
+            flown = flown.shifted((here - flown.sample(0.0).p).tolist())
+        if pilot.airborne and not pilot.permission.steerable:
+            return self.drone.guidance.led(flown)
         self._require_steerable()
+        require_feasible(flown, pilot)
         turn = self._turn()
         if on_board is not None:
             await self._upload(path)
         start = flown.sample(0.0)
         await self._reach(start.p, start.yaw, 0.0, turn)
         if on_board is not None:
-            await self._start_on_board(flown, on_board, is_relative)
+            await self._start_on_board(flown, on_board, asked.relative)
         return await self._follow(flown, turn)
 
     async def _follow(self, path: Piecewise, turn: int) -> str:
@@ -158,14 +142,6 @@ class Steering:
                 f"its path was not flown to the end: {pilot.notes.text or pilot.mode.value}"
             )
         return "flown"
-
-    def _read_on_board(self, arguments: dict[str, Any]) -> OnBoardFlight | None:
-        """Return how the planner on board flies the path; None if the drone's agent flies it."""
-        told = arguments.get("on_board")
-        try:
-            return None if told is None else msgspec.convert(told, OnBoardFlight)
-        except msgspec.ValidationError as error:
-            self._refuse(f"fly: on_board: {error}")
 
     async def _upload(self, path: Piecewise) -> None:
         """Upload the path into the memory of the drone. Raises Refused with the reason."""
@@ -190,12 +166,10 @@ class Steering:
             relative=is_relative,
         )
 
-    def _shift_here(self, path: Piecewise) -> Piecewise:
-        """Return the path from the place of the drone on; its heading stays as it is in the path."""
-        state = self.drone.pilot.state
-        if state is None:
-            self._refuse("it is not seen")
-        return path.shifted((state.p - path.sample(0.0).p).tolist())
+    def _get_set_point(self) -> FullState:
+        """Return the set-point of the planned flight now; without a plan, the state of the drone."""
+        pilot = self.drone.pilot
+        return pilot.flights.departure(pilot.row.get_state(), pilot.clock.now())
 
     def _turn(self) -> int:
         self._count += 1

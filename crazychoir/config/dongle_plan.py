@@ -261,9 +261,7 @@ class _Loads:
     def _extra_logs(self, i: int) -> float:
         """Return the packets a second of the [[logs]] of drone i."""
         return sum(
-            row.rate
-            for row in self.swarm.logs
-            if row.drones is None or i in row.drones
+            row.rate for row in self.swarm.logs if row.drones is None or i in row.drones
         )
 
     def parts(self, rate: float) -> dict[str, float]:

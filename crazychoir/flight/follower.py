@@ -9,7 +9,6 @@ from crazychoir.errors import ConfigError
 from crazychoir.flight.agreed_flight import AgreedFlight
 from crazychoir.flight.batch import Course, DroneRow
 from crazychoir.flight.clearance import PLAN_DEVIATION, Clearance
-from crazychoir.flight.flight_limits import TOUCHDOWN_LIMITS
 from crazychoir.flight.goals import require_goal
 from crazychoir.flight.homecoming import Homecoming
 from crazychoir.flight.notes import FlightNotes
@@ -116,8 +115,8 @@ class FlightFollower:
         """Return (3,) m where a take-off from here to `height` m above the ground ends."""
         return self._setup.get_place_above(self._row.get_state().p, height)
 
-    def begin_take_off(self, height: float | None, now: float) -> float:
-        """Plan the rise to `height` m above the ground, and return the s that it takes."""
+    def begin_take_off(self, height: float | None, now: float, least: float) -> float:
+        """Plan the rise to `height` m above the ground in at least `least` s; return its s."""
         state = self._row.get_state()
         start = FullState.at(state.p, yaw=yaw_of(state.q))
         goal = self.get_place_above(height)
@@ -125,7 +124,7 @@ class FlightFollower:
             self._permission.started_at = state.p
         self._row.flown = start
         self._row.drone["is_beyond"] = 0
-        return self.flights.go_to(start, goal, start.yaw, 0.0, now)
+        return self.flights.go_to(start, goal, start.yaw, least, now)
 
     def go_to(self, p: Point, yaw: float | None, duration: float, now: float) -> float:
         """Plan a flight to p inside the fence, and return the s that it takes.
@@ -265,8 +264,7 @@ class FlightFollower:
         self.homecoming = None
         if not self._setup.controls.takes_off:
             return self.flights.brake(start, now)
-        touchdown = self._setup.limits.ground + TOUCHDOWN_LIMITS.floor_height
-        return self.flights.descend(start, now, touchdown, beside)
+        return self.flights.descend(start, now, beside)
 
     def forget(self) -> None:
         """Forget what the drone flies."""

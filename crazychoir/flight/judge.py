@@ -256,11 +256,14 @@ class Judge:
         self._guard.excuse("reference")
         return not self._guard.acts
 
-    def begin_take_off(self, height: float | None, now: float) -> float:
+    def begin_take_off(
+        self, height: float | None, now: float, duration: float = 0.0
+    ) -> float:
         """Begin to rise, and return the time it will take in s; 0 if the drone does not.
 
         height: m above the ground; None for the height of [flight]
         now: s
+        duration: s; the rise takes longer if the limits demand it
         """
         state = self._row.state
         if get_refusal(self._row.mode, ModeEvent.TAKE_OFF) or state is None:
@@ -268,11 +271,11 @@ class Judge:
         if not self._setup.controls.takes_off:
             self._permission.skip_take_off()
             return 0.0
-        duration = self._follower.begin_take_off(height, now)
+        seconds = self._follower.begin_take_off(height, now, duration)
         self.ground_watch.begin_take_off(float(state.p[2]), now)
         self._guard.forget()
         self._permission.change(ModeEvent.TAKE_OFF)
-        return duration
+        return seconds
 
     def hold(self, on: bool, now: float) -> None:
         """Keep the drone where it is for its operator, or let it go on; not while it lands.

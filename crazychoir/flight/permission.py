@@ -97,6 +97,10 @@ class Permission:
         self._row.drone["is_held"] = on
         self.commanded = False
 
+    def await_operator(self) -> None:
+        """Let the operator fly the drone, until a start."""
+        self._row.drone["awaits_start"] = 1
+
     def start(self) -> None:
         """Let the mission fly the drone."""
         self._row.drone["awaits_start"] = 0

@@ -25,6 +25,7 @@ from crazychoir.flight.point_flights import PointFlights
 from crazychoir.flight.references import convert_reference, explain_refusal
 from crazychoir.flight.setup import FlightSetup
 from crazychoir.flight.tick import FlightTick
+from crazychoir.planning.landing import STRAIGHT_DOWN, Descent
 from crazychoir.planning.trajectory import Trajectory
 from crazychoir.runtime.actor import Actor, RestartPolicy
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock
@@ -213,12 +214,14 @@ class Pilot(Actor):
 
     # What guidance asks -------------------------------------------------------------------
 
-    def take_off(self, height: float | None = None) -> float:
+    def take_off(self, height: float | None = None, duration: float = 0.0) -> float:
         """Rise to `height` m above the ground, inside the fence, and return the time it will take.
 
         Only a drone on the ground takes off. It stays there while it is held and during an
         emergency stop. After its motors were cut, or a latched rule of the safety table has acted,
         it stays there until its agent is started again. Returns 0 then.
+
+        duration: s; the rise takes longer if the limits demand it
         """
         rule, why = self.unready()
         if height is not None and not math.isfinite(height):
@@ -227,7 +230,7 @@ class Pilot(Actor):
         if why:
             self.notes.say(rule, why)
             return 0.0
-        return self.judge.begin_take_off(height, self.clock.now())
+        return self.judge.begin_take_off(height, self.clock.now(), duration)
 
     def go_to(
         self,
@@ -263,15 +266,20 @@ class Pilot(Actor):
             return 0.0
         return self.follower.fly(trajectory, self.clock.now())
 
-    def follow(self, reference: Reference) -> bool:
+    def follow(self, reference: Reference, commanded: bool = False) -> bool:
         """Fly this reference from the next tick on; return False if it can never be flown.
 
         The reference must be renewed before it is stale. What is no reference or not finite is not
         flown, and neither is a Goto to a place where no goal may be. A reference that asks for more
-        than [flight] allows is cut. A repeated Goto continues its flight. A held drone ignores all.
+        than [flight] allows is cut. A repeated Goto continues its flight. A held drone ignores all
+        but references that its operator has commanded.
+
+        commanded: as in `go_to`
         """
+        permission = self.permission
+        may_fly = permission.may_fly(True) if commanded else permission.obeys
         state = self.state
-        if state is None or not self.permission.obeys:
+        if state is None or not may_fly:
             return True
         wanted = convert_reference(reference)
         if wanted is None:
@@ -282,22 +290,29 @@ class Pilot(Actor):
             self.notes.say("sender", why)
         return not why
 
-    def hover(self) -> None:
+    def hover(self, commanded: bool = False) -> None:
         """Come to rest in the shortest distance that the limits allow, and stay there.
 
-        A drone at rest stays where it is. A flight that its operator has commanded goes on.
+        A drone at rest stays where it is. A flight that its operator has commanded goes on, unless
+        the operator commands this.
+
+        commanded: as in `go_to`
         """
-        if self.mode in GUIDED_MODES and not self.permission.commanded:
+        is_guided = self.mode in GUIDED_MODES
+        if is_guided and (commanded or not self.permission.commanded):
             self.follower.rest(self.clock.now())
 
-    def land(self, reason: str = "", grave: bool = False) -> float:
+    def land(
+        self, reason: str = "", grave: bool = False, descent: Descent = STRAIGHT_DOWN
+    ) -> float:
         """Come to rest, then fly straight down inside the fence, and stop the motors.
 
         reason: empty if guidance wants the landing; a held or returning drone then does not land
         grave: whether the reason needs attention
+        descent: where the way down ends, and how long it takes
         Returns s until the motors stop, 0 if the drone does not begin to land.
         """
-        return self.judge.touchdown.land(reason, grave, self.clock.now())
+        return self.judge.touchdown.land(reason, grave, self.clock.now(), descent)
 
     def cut(self, reason: str) -> None:
         """Stop the motors, for good."""

@@ -6,10 +6,11 @@ import numpy as np
 
 from crazychoir.config.tables import FlightTable
 from crazychoir.errors import Refused
+from crazychoir.flight.flight_limits import TOUCHDOWN_LIMITS
 from crazychoir.numerics.array_like import to_floats
 from crazychoir.numerics.kernels import Record
 from crazychoir.numerics.math3d import STANDARD_GRAVITY, yaw_of
-from crazychoir.planning.landing import FlightLegs, Landing
+from crazychoir.planning.landing import STRAIGHT_DOWN, Descent, FlightLegs, Landing
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.plan_row import (
     NO_PLAN,
@@ -80,6 +81,8 @@ class PointFlights:
         self.a_max = a_max
         self._row: Record = np.zeros(1, PLAN_ROW)[0] if row is None else row
         self._plan: Trajectory | None = None
+        self.descent: Descent = STRAIGHT_DOWN
+        """How the drone lands, in its present or next landing."""
         self.lacks_set_point = False
         """Whether the plan in Python gave no finite set-point for this tick."""
 
@@ -205,16 +208,19 @@ class PointFlights:
         return self.fly(FlightLegs(*self._stop(start, self.fence)), now)
 
     def descend(
-        self, start: FullState, now: float, touchdown: float, beside: Vec | None = None
+        self,
+        start: FullState,
+        now: float,
+        beside: Vec | None = None,
     ) -> float:
         """Come to rest, then fly straight down.
 
         start: the first set-point
-        touchdown: m, the height at which the drone counts as landed
         beside: (3,) m, world: fly there before coming down; None to come down from here
-        Returns s until the drone is at the height `touchdown`.
+        Returns s until the drone counts as landed.
         """
         limits = self.limits
+        descent = self.descent
         stop = self._stop(start, self.fence.with_floor(limits.ground - FENCE_INSET))
         if beside is not None:
             here = FullState.at(stop[-1].goal, yaw=start.yaw)
@@ -224,14 +230,19 @@ class PointFlights:
             stop = [*stop, PointToPoint(here, beside, start.yaw, duration)]
         above = FullState.at(stop[-1].goal, yaw=start.yaw)
         floor = stop[-1].goal.copy()
-        floor[2] = limits.ground - 0.05
+        floor[2] = limits.ground + descent.height - 0.05
         fastest = compute_flight_time(
             above, floor, start.yaw, limits.speed_limit, limits.acceleration_limit
         )
         slow = PEAK_SPEED * (above.p[2] - floor[2]) / limits.landing_speed
-        landing = Landing(
-            *stop, PointToPoint(above, floor, start.yaw, max(slow, fastest))
-        )
+        down = PointToPoint(above, floor, start.yaw, max(slow, fastest))
+        landing = Landing(*stop, down)
+        touchdown = limits.ground + descent.height + TOUCHDOWN_LIMITS.floor_height
+        stopping = landing.duration - down.duration
+        descending = landing.reaches(touchdown) - stopping
+        if 0.0 < descending < descent.duration:
+            longer = down.duration * descent.duration / descending
+            landing = Landing(*stop, PointToPoint(above, floor, start.yaw, longer))
         self.fly(landing, now)
         return landing.reaches(touchdown)
 

@@ -13,7 +13,7 @@ from crazychoir.flight.notes import FlightNotes
 from crazychoir.flight.permission import Permission
 from crazychoir.flight.setup import FlightSetup
 from crazychoir.numerics.math3d import yaw_of
-from crazychoir.planning.landing import Landing
+from crazychoir.planning.landing import STRAIGHT_DOWN, Descent, Landing
 from crazychoir.safety.rules.guard import Guard
 from crazychoir.safety.rules.modes import (
     LAND_MODE,
@@ -109,12 +109,24 @@ class Touchdown:
             and self._guard.told("link") > FIRMWARE_LANDING.radio_timeout
         )
 
-    def land(self, reason: str, is_grave: bool, now: float) -> float:
+    @property
+    def _floor(self) -> float:
+        """Height of the floor on which the drone lands, m, world."""
+        return self._setup.limits.ground + self._follower.flights.descent.height
+
+    def land(
+        self,
+        reason: str,
+        is_grave: bool,
+        now: float,
+        descent: Descent = STRAIGHT_DOWN,
+    ) -> float:
         """Come to rest, then fly straight down inside the fence, and stop the motors.
 
         reason: empty if guidance wants the landing; a held or returning drone then does not land
         is_grave: whether the reason needs attention
         now: s
+        descent: where the way down ends, and how long it takes
         Returns s until the motors stop, 0 if the drone does not begin to land.
         """
         mode = self._row.mode
@@ -127,6 +139,7 @@ class Touchdown:
             return 0.0
         if reason:
             self._notes.say("land", reason, is_grave)
+        self._follower.flights.descent = descent
         return self.descend(now)
 
     def descend(self, now: float) -> float:
@@ -167,6 +180,7 @@ class Touchdown:
         self._to_firmware = None
         self._tell_owner_at = 0.0
         self._follower.forget()
+        self._follower.flights.descent = STRAIGHT_DOWN
         self._setup.controls.trim.frozen = True
         self._setup.controls.trim.restore()
 
@@ -179,7 +193,7 @@ class Touchdown:
 
         now: s
         """
-        ground = self._setup.limits.ground
+        ground = self._floor
         flights = self._clearance.flights
         is_seen = state.age <= SEEN_AGE
         is_at_rest = bool(np.linalg.norm(state.v) < TOUCHDOWN_LIMITS.rest_speed)
@@ -214,7 +228,7 @@ class Touchdown:
 
         now: s
         """
-        height = state.flat[2] - self._setup.limits.ground
+        height = state.flat[2] - self._floor
         gives_way = now < self._clearance.gave_way + TOUCHDOWN_LIMITS.overdue_time
         if height > TOUCHDOWN_LIMITS.kept_up_height or not gives_way:
             self._low_since = math.inf
@@ -267,7 +281,7 @@ class Touchdown:
         """
         if self.is_handed_over:
             return
-        ground = self._setup.limits.ground
+        ground = self._floor
         depth = float(state.p[2]) - ground + FIRMWARE_LANDING.depth
         seconds = max(depth / FIRMWARE_LANDING.speed, 1.0)
         self._down_at = now + seconds
@@ -302,8 +316,7 @@ class Touchdown:
             > TOUCHDOWN_LIMITS.replanning_distance
         ):
             start = FullState.at(state.p, state.v, yaw=yaw_of(state.q))
-            touchdown = self._setup.limits.ground + TOUCHDOWN_LIMITS.floor_height
-            flights.descend(start, now, touchdown)
+            flights.descend(start, now)
             planned = flights.sample(now)
         assert planned is not None  # noqa: S101 - the landing has just begun
         self._row.fly(planned)

@@ -1,7 +1,26 @@
 """Flights of several legs, and the way down."""
 
+from dataclasses import dataclass
+
 from crazychoir.planning.piecewise import Piecewise, join_pieces
 from crazychoir.planning.point_to_point import PointToPoint
+
+
+@dataclass(frozen=True, slots=True)
+class Descent:
+    """Where a way down ends, and how long it takes."""
+
+    height: float = 0.0
+    """m above the ground: height of the floor on which the drone lands."""
+    duration: float = 0.0
+    """s of the way down until the drone counts as landed, or 0: as fast as the limits allow.
+
+    The limits may make it longer.
+    """
+
+
+STRAIGHT_DOWN = Descent()
+"""To the ground, as fast as the limits allow."""
 
 
 class FlightLegs(Piecewise):

@@ -23,9 +23,9 @@ from crazychoir.launch.console import (
 
 if TYPE_CHECKING:
     from crazychoir.bus.topics import Topic
-    from crazychoir.launch.observer import Answers, Window, Work
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.launch.flight_observer import FlightScore
+    from crazychoir.launch.observer import Answers, Window, Work
 
 SwarmOption = Annotated[
     str | None,

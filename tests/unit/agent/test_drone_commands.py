@@ -72,8 +72,9 @@ async def test_changes_are_published(commands, said):
 
 async def test_unknown_command_is_refused_with_the_list_of_commands(commands):
     allowed = (
-        "arm, take-off, start, hold, go, land, home, go-to, fly, impair, param_set, firmware_set, "
-        "task_add, task_cancel, param_get, firmware_get, task_list, overview, ping, watched"
+        "arm, take-off, start, hold, go, land, home, go-to, velocity, fly, impair, param_set, "
+        "firmware_set, task_add, task_cancel, param_get, firmware_get, task_list, overview, ping, "
+        "watched"
     )
     with pytest.raises(Refused) as refused:
         await commands.execute("dance", {})

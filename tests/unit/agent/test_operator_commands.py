@@ -5,18 +5,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from operators import play_scene
 
-from crazychoir.agent.agent import Agent
-from crazychoir.agent.steering import path_message
-from crazychoir.bus.commands import ANSWER_TEXTS, Commander
-from crazychoir.bus.port import PORT_ADDRESSES
+from crazychoir.agent.command_arguments import path_message
+from crazychoir.bus.commands import ANSWER_TEXTS
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance import guidance as base
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.numerics.math3d import yaw_of
 from crazychoir.planning.spline import fit_spline
-from crazychoir.runtime.clock import run_virtual
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.types import Acceleration
 
@@ -89,55 +87,9 @@ def config_of(n=3, **flight):
     )
 
 
-class Operator:
-    """Commands, and what came of them."""
-
-    def __init__(self, agent):
-        self.agent, self.clock = agent, agent.clock
-        self.commander = Commander(agent.bus.port(PORT_ADDRESSES.first_observer, 0xF1))
-        self.highest = {}
-
-    async def order(self, verb, *drones, deadline=60.0):
-        """What each drone answers: kind and words; of one drone, its alone."""
-        ids = drones or self.agent.ids
-        answers = await asyncio.gather(
-            *(self.commander.request(i, verb, deadline) for i in ids)
-        )
-        said = {
-            i: (answer.kind, answer.detail)
-            for i, answer in zip(ids, answers, strict=True)
-        }
-        return said[drones[0]] if len(drones) == 1 else said
-
-    def pilot(self, i):
-        return self.agent.drones[i].pilot
-
-    def task(self, i):
-        return self.agent.drones[i].status().task
-
-    def modes(self):
-        return [drone.pilot.mode for drone in self.agent.drones.values()]
-
-
 def play(guidance, scene, config=None):
-    """The scene beside a flight; the results of the flight."""
-    config = config_of() if config is None else config
-
-    async def main(clock):
-        agent = Agent(
-            clock,
-            config,
-            SimpleNamespace(guidance=lambda i, config: guidance()),
-            config.ids,
-        )
-        operator = Operator(agent)
-        flying = asyncio.create_task(agent.run())
-        await clock.sleep(1.0)
-        await scene(operator)
-        async with asyncio.timeout(200.0):
-            return await flying
-
-    return run_virtual(main)
+    mission = SimpleNamespace(guidance=lambda i, config: guidance())
+    return play_scene(mission, scene, config_of() if config is None else config)
 
 
 def test_a_run_waits_on_the_ground_for_its_take_off_and_in_the_air_for_its_start():
@@ -572,7 +524,7 @@ def test_what_cannot_be_flown_is_refused_before_anything_moves():
         for arguments in (
             {"p": [0.0, 1.0]},
             {"p": [0.0, 1.0, float("nan")]},
-            {"p": [0, 0, 1], "speed": 3},
+            {"p": [0, 0, 1], "haste": 3},
             {},
         ):
             kind, why = await told(operator, "go-to", 0, **arguments)

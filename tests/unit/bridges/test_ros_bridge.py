@@ -11,8 +11,8 @@ from rosbags.typesys import Stores, get_typestore
 from crazychoir.bridges.ros_bridge import ROS_BRIDGE, RosBridge, serve
 from crazychoir.bus.port import PORT_ADDRESSES, Bus
 from crazychoir.bus.topics import DRONE_TOPICS
-from crazychoir.launch.observer import Window
 from crazychoir.config.swarm_config import default_swarm
+from crazychoir.launch.observer import Window
 from crazychoir.recording.ros.rmw_zenoh import RMW_ZENOH, Endpoint
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.types import State

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from crazychoir.agent.agent import Agent
-from crazychoir.agent.steering import path_message
+from crazychoir.agent.command_arguments import path_message
 from crazychoir.bus.commands import ANSWER_TEXTS, Commander
 from crazychoir.bus.port import PORT_ADDRESSES
 from crazychoir.config.swarm_config import SwarmConfig
