@@ -80,9 +80,12 @@ class SettlingLimits:
 SETTLING_LIMITS = SettlingLimits()
 
 
+OBEYING_GATE = "command"
+"""The gate of a mission that does nothing but obey its operator until it has landed."""
 GATE_STATUS_TEXTS = {
     "take-off": "waits for its operator: take-off",
     "start": "waits for its operator: start",
+    OBEYING_GATE: "obeys its operator",
 }
 """Text of the status while a mission waits for a command of its operator."""
 
@@ -139,7 +142,8 @@ async def wait_for_command(
     member.report = lambda: {"task": GATE_STATUS_TEXTS[gate] + lands()}
     member.announce()
     while waits() and member.clock.now() < ends and not member.ended:
-        if pilot.permission.commanded and pilot.remaining() > 0.0:
+        is_flown = pilot.remaining() > 0.0 or pilot.mode is Mode.FOLLOW
+        if pilot.permission.commanded and is_flown:
             ends = member.clock.now() + seconds  # its operator is at work
         await member.clock.sleep(FLIGHT_LOOK_INTERVAL, drone=member.id)
     member.gate = ""
