@@ -57,10 +57,7 @@ class CommandGroup(StrEnum):
     setup = "Set up hosts and drones"
 
 
-ORDER_COMMANDS = {
-    verb: orders.make_order_command(verb, orders.ORDER_TIMEOUTS[verb])
-    for verb in orders.ORDER_HELP
-}
+ORDER_COMMANDS = {verb: orders.make_order_command(verb) for verb in orders.ORDER_HELP}
 """The flight commands, by name."""
 COMMANDS_BY_GROUP: dict[CommandGroup, dict[str, Callable[..., None]]] = {
     CommandGroup.fly: {
@@ -73,9 +70,12 @@ COMMANDS_BY_GROUP: dict[CommandGroup, dict[str, Callable[..., None]]] = {
     CommandGroup.operate: {
         "status": inspect.status,
         "dashboard": dashboard.dashboard,
+        "take-off": orders.take_off,
+        "land": orders.land,
         **ORDER_COMMANDS,
         "stop": orders.stop,
         "go-to": go_to.go_to,
+        "velocity": orders.velocity,
         "fly": go_to.fly,
         "impair": inspect.impair,
         "topics": inspect.topics,

@@ -5,17 +5,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_observer
-from crazychoir.cli.operate.orders import parse_drones, print_answers
-from crazychoir.errors import ConfigError
+from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_operator
+from crazychoir.cli.operate.orders import (
+    DurationOption,
+    WaitOption,
+    parse_drones,
+    parse_metres,
+    print_answers,
+)
 from crazychoir.launch import number_options as options
-from crazychoir.launch.console import ERROR_CONSOLE, exit_with_error
+from crazychoir.launch.console import ERROR_CONSOLE
+from crazychoir.launch.order_times import ORDER_TIMEOUTS
 
 if TYPE_CHECKING:
     from crazychoir.launch.observer import Answers, Window
 
-DRAWING_START_TIMEOUT = 60.0
-"""Seconds that drones get to reach the start of a drawing, beside the duration of the drawing."""
 DronesOption = Annotated[str, typer.Option("--drones", help="Which, as 3,5-7.")]
 OffsetOption = Annotated[
     str, typer.Option(help="From one drone to the next, as 0,0.5,0 (m).")
@@ -29,35 +33,49 @@ def go_to(
     yaw: Annotated[
         float | None, options.real("Yaw in rad; else unchanged.", least=-7.0, most=7.0)
     ] = None,
-    seconds: Annotated[
-        float, options.seconds("How long it takes; 0: as fast as the limits allow.")
-    ] = 0.0,
+    duration: DurationOption = 0.0,
+    velocity: Annotated[
+        float | None,
+        options.real("m/s at most, on the way.", least=0.0, most=20.0, open_below=True),
+    ] = None,
+    relative: Annotated[
+        bool,
+        typer.Option(
+            "--relative",
+            help="From where each drone is, with its yaw; no --offset.",
+        ),
+    ] = False,
     swarm: SwarmOption = None,
-    wait: Annotated[float, options.seconds("s to wait until it is done.")] = 120.0,
+    wait: WaitOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Fly waiting or held drones to a place.
 
-    The drones wait in the air for their start, or are held. Exits with 0 only
-    if every drone arrives.
+    The drones wait in the air for their start, are held, or fly the mission
+    operator. Exits with 0 only if every drone arrives.
     """
     from crazychoir.agent.sketch import (
         flight_places,  # kernels: 1 s that --help does not need
     )
 
-    p = _metres("PLACE", place)
-    step = _metres("--offset", offset)
+    p = parse_metres("PLACE", place)
+    step = parse_metres("--offset", offset)
     chosen = tuple(parse_drones(drones) or ())
+    given = {"yaw": yaw, "duration": duration, "relative": relative, "speed": velocity}
+    seconds = ORDER_TIMEOUTS["go-to"] + duration if wait is None else wait
 
     async def work(window: "Window") -> "Answers":
         window.check("--drones", chosen)
-        goals = flight_places(p, step, chosen, window.config)
-        told = {
-            i: {"p": goal, "yaw": yaw, "duration": seconds} for i, goal in goals.items()
-        }
-        return await window.command("go-to", told, wait)
+        config = window.config
+        goals = (
+            {i: list(p) for i in chosen}
+            if relative
+            else flight_places(p, step, chosen, config)
+        )
+        told = {i: {"p": goal, **given} for i, goal in goals.items()}
+        return await window.command("go-to", told, seconds)
 
-    print_answers(run_as_observer(swarm, work, as_json), as_json)
+    print_answers(run_as_operator(swarm, work, as_json), as_json)
 
 
 def fly(
@@ -123,10 +141,10 @@ def fly(
         plan_file,
     )
 
-    step = _metres("--offset", offset)
+    step = parse_metres("--offset", offset)
     chosen = tuple(parse_drones(drones) or ())
     told: dict[int, dict[str, Any]] = {}
-    spent = DRAWING_START_TIMEOUT
+    spent = ORDER_TIMEOUTS["fly"]
 
     async def work(window: "Window") -> "Answers":
         nonlocal spent
@@ -143,14 +161,4 @@ def fly(
         )
         return await window.command("fly", told, spent)
 
-    print_answers(run_as_observer(swarm, work, as_json), as_json)
-
-
-def _metres(option: str, text: str) -> tuple[float, float, float]:
-    try:
-        x, y, z = options.parse_finite_numbers(
-            text, option, "three numbers of m, as 1,0.5,1.2", 3
-        )
-    except ConfigError as error:
-        exit_with_error(error, as_json=False)
-    return x, y, z
+    print_answers(run_as_operator(swarm, work, as_json), as_json)

@@ -1,6 +1,8 @@
 """Inspect a running swarm and change its simulated network: topics, echo, hz, status, impair."""
 
 import signal
+import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +17,7 @@ from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
     ANSWER_CONSOLE,
+    ERROR_CONSOLE,
     build_status_table,
     exit_with_error,
     set_up_logging,
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
     from crazychoir.launch.flight_observer import FlightScore
     from crazychoir.launch.observer import Answers, Window, Work
+    from crazychoir.launch.run_registry import RunRecord
 
 SwarmOption = Annotated[
     str | None,
@@ -43,18 +47,50 @@ SecondsOption = Annotated[
 ]
 
 
-def run_as_observer(swarm: str | None, work: "Work", as_json: bool = False) -> Any:
+def run_as_operator(swarm: str | None, work: "Work", as_json: bool = False) -> Any:
+    """Join the swarm as `run_as_observer`, and print first which swarm the command speaks to."""
+    return run_as_observer(swarm, work, as_json, _print_swarm)
+
+
+def _print_swarm(config: "SwarmConfig") -> None:
+    ERROR_CONSOLE.print(_describe_swarm(config), markup=False)
+
+
+def _ask_for_run(found: "list[RunRecord]") -> "RunRecord":
+    """Return the run that the operator chooses at the terminal."""
+    ERROR_CONSOLE.print("Several of your runs could be meant:")
+    for k, run in enumerate(found, start=1):
+        ERROR_CONSOLE.print(f"{k}: swarm {run.swarm}, {run.what}", markup=False)
+    number = 0
+    while not 1 <= number <= len(found):
+        number = typer.prompt(f"Which one, 1 to {len(found)}", type=int, err=True)
+    return found[number - 1]
+
+
+def run_as_observer(
+    swarm: str | None,
+    work: "Work",
+    as_json: bool = False,
+    begin: "Callable[[SwarmConfig], None]" = lambda config: None,
+) -> Any:
     """Join the swarm as an observer, do the work and leave.
 
+    At a terminal it asks which swarm is meant, if several of the user fly.
+
+    begin: called with the swarm before it is joined
     Ends the command with an error if there is no swarm.
     """
     set_up_logging()
-    from crazychoir.cli.shared import (
+    from crazychoir.launch import (
         observer as window,
     )  # takes 1 s, which --help does not need
+    from crazychoir.launch.running_swarm import refuse_choice
 
+    is_asking = sys.stdin.isatty() and ERROR_CONSOLE.is_terminal and not as_json
     try:
-        return window.observe_swarm(swarm, work)
+        return window.observe_swarm(
+            swarm, work, _ask_for_run if is_asking else refuse_choice, begin
+        )
     except CrazyChoirError as error:
         exit_with_error(error, as_json)
 
@@ -240,7 +276,7 @@ def impair(
         }
         return await window.request("impair", None, **arguments)
 
-    answers = run_as_observer(swarm, work, as_json)
+    answers = run_as_operator(swarm, work, as_json)
     shown = (
         answers
         if as_json

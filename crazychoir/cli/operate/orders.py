@@ -2,16 +2,17 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
 
-from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_observer
+from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_operator
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import ANSWER_CONSOLE, exit_with_error, write_json
+from crazychoir.launch.order_times import ORDER_TIMEOUTS
 
 if TYPE_CHECKING:
     from crazychoir.launch.observer import Answers, Window
@@ -36,51 +37,132 @@ class OrderAnswers:
 ORDER_ANSWERS = OrderAnswers()
 
 
-ORDER_TIMEOUTS = {
-    "arm": 5.0,
-    "take-off": 30.0,
-    "start": 5.0,
-    "hold": 5.0,
-    "go": 5.0,
-    "land": 60.0,
-    "home": 120.0,
-}
-"""Default seconds to wait until a command is done, by command."""
 Rows = dict[int, dict[str, str]]
 ORDER_HELP = {
     "arm": "Check whether drones can take off, and arm motors that need it.",
-    "take-off": "Take off and hover, in a run with `--wait`.",
     "start": "Start the missions of hovering drones, in a run with `--wait`.",
     "hold": "Stop drones in the air; their missions wait, at most 300 s.",
     "go": "Let held drones continue their missions.",
-    "land": "Land drones where they are, and end their missions.",
     "home": "Fly drones back above the others, land, and end their missions.",
 }
 
 
-def make_order_command(verb: str, seconds: float) -> Callable[..., None]:
-    """Return the command line of a flight command; seconds: default of its option --wait."""
+WaitOption = Annotated[
+    float | None,
+    options.seconds("s to wait until it is done; else as long as it may take."),
+]
+DurationOption = Annotated[
+    float, options.seconds("How long it takes in s; 0: as fast as the limits allow.")
+]
+
+
+def make_order_command(verb: str) -> Callable[..., None]:
+    """Return the command line of a flight command without arguments."""
 
     def command(
         drones: DronesOption = None,
         swarm: SwarmOption = None,
-        wait: Annotated[
-            float, options.seconds("s to wait until it is done.")
-        ] = seconds,
+        wait: WaitOption = None,
         as_json: JsonOption = False,
     ) -> None:
-        chosen = parse_drones(drones)
-
-        async def work(window: "Window") -> "Answers":
-            window.check("--drones", chosen or ())
-            return await window.order(verb, chosen, wait)
-
-        print_answers(run_as_observer(swarm, work, as_json), as_json)
+        _give_order(verb, drones, swarm, wait, as_json)
 
     command.__doc__ = (
         f"{ORDER_HELP[verb]}\n\nExits with 0 only if every drone reports done."
     )
     return command
+
+
+def take_off(
+    drones: DronesOption = None,
+    height: Annotated[
+        float | None,
+        options.real(
+            "m above the ground; else the height that the mission wants.",
+            least=0.0,
+            most=1000.0,
+        ),
+    ] = None,
+    duration: DurationOption = 0.0,
+    swarm: SwarmOption = None,
+    wait: WaitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Take off and hover, in a run with `--wait`, or of the mission operator.
+
+    Exits with 0 only if every drone reports done.
+    """
+    _give_order(
+        "take-off", drones, swarm, wait, as_json, height=height, duration=duration
+    )
+
+
+def land(
+    drones: DronesOption = None,
+    height: Annotated[
+        float,
+        options.real(
+            "m above the ground: height of the floor, such as a table, on which they land.",
+            least=0.0,
+            most=1000.0,
+        ),
+    ] = 0.0,
+    duration: DurationOption = 0.0,
+    swarm: SwarmOption = None,
+    wait: WaitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Land drones where they are, and end their missions.
+
+    Exits with 0 only if every drone reports done.
+    """
+    _give_order("land", drones, swarm, wait, as_json, height=height, duration=duration)
+
+
+def velocity(
+    v: Annotated[str, typer.Argument(help="Velocity, as 0.3,0,0 (m/s).")],
+    drones: Annotated[str, typer.Option("--drones", help="Which, as 3,5-7.")],
+    duration: Annotated[
+        float, options.seconds("s, after which they stop.", open_below=True)
+    ] = 1.0,
+    yaw_rate: Annotated[
+        float, options.real("Yaw rate in rad/s.", least=-7.0, most=7.0)
+    ] = 0.0,
+    swarm: SwarmOption = None,
+    wait: WaitOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Fly waiting or held drones with a velocity, then stop them.
+
+    Fence and collision filter act as always. Exits with 0 only if every drone
+    reports done.
+    """
+    wanted = parse_metres("VELOCITY", v, "three numbers of m/s, as 0.3,0,0")
+    given = {"v": wanted, "yaw_rate": yaw_rate, "duration": duration}
+    _give_order("velocity", drones, swarm, wait, as_json, **given)
+
+
+def _give_order(
+    verb: str,
+    drones: str | None,
+    swarm: str | None,
+    wait: float | None,
+    as_json: bool,
+    **arguments: Any,
+) -> None:
+    """Send a flight command, and print what each drone answers.
+
+    arguments: of the command; its `duration` prolongs the wait
+    """
+    chosen = parse_drones(drones)
+    spent: float = arguments.get("duration", 0.0)
+    seconds = ORDER_TIMEOUTS[verb] + spent if wait is None else wait
+
+    async def work(window: "Window") -> "Answers":
+        window.check("--drones", chosen or ())
+        return await window.order(verb, chosen, seconds, **arguments)
+
+    print_answers(run_as_operator(swarm, work, as_json), as_json)
 
 
 def stop(
@@ -100,7 +182,7 @@ def stop(
         window.check("--drones", chosen or ())
         return await window.emergency_stop(clear, chosen)
 
-    answers: Answers = run_as_observer(swarm, work, as_json)
+    answers: Answers = run_as_operator(swarm, work, as_json)
     words = "cleared" if clear else "motors off"
     rows = {
         i: {"answer": ORDER_ANSWERS.done, "says": words} if obeyed else _row(said)
@@ -148,3 +230,14 @@ def parse_drones(text: str | None) -> list[int] | None:
         return parse_spans(text, "--drones", "drones with commas between, as 3,5-7")
     except ConfigError as error:
         exit_with_error(error, as_json=False)
+
+
+def parse_metres(
+    option: str, text: str, allowed: str = "three numbers of m, as 1,0.5,1.2"
+) -> tuple[float, float, float]:
+    """Return the three numbers of a text such as "1,0.5,1.2"."""
+    try:
+        x, y, z = options.parse_finite_numbers(text, option, allowed, 3)
+    except ConfigError as error:
+        exit_with_error(error, as_json=False)
+    return x, y, z

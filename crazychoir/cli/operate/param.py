@@ -7,7 +7,7 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_observer
+from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_operator
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
@@ -82,7 +82,7 @@ def _ask_drones(
             verb, None if drone is None else (drone,), **arguments
         )
 
-    answers: Answers = run_as_observer(swarm, work, as_json)
+    answers: Answers = run_as_operator(swarm, work, as_json)
     return answers
 
 

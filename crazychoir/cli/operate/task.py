@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_observer
+from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_operator
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.launch import number_options as options
@@ -115,7 +115,7 @@ def _ask(
                 break
         return answers
 
-    answers: Answers = run_as_observer(swarm, work, as_json)
+    answers: Answers = run_as_operator(swarm, work, as_json)
     done = [said for good, said in answers.values() if good]
     if as_json:
         write_json(

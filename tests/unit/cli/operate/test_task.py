@@ -40,7 +40,7 @@ def asked(monkeypatch):
             return end.value
         raise AssertionError("it waits for something")
 
-    monkeypatch.setattr(task, "run_as_observer", looking)
+    monkeypatch.setattr(task, "run_as_operator", looking)
     return requests
 
 
