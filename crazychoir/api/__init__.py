@@ -9,17 +9,27 @@ from typing import TYPE_CHECKING
 from crazychoir.numerics.compiling import KERNEL_QUEUE
 
 if TYPE_CHECKING:
+    from crazychoir.api.connect import connect, connect_async, launch
     from crazychoir.api.flights import Flight, fly, read
+    from crazychoir.api.running.async_swarm import AsyncSwarm
+    from crazychoir.api.running.receipts import OrderFailed
+    from crazychoir.api.running.running_swarm import RunningSwarm
     from crazychoir.api.simulating import Simulation, simulate
     from crazychoir.api.solving import solve
     from crazychoir.api.sweeps import sweep
     from crazychoir.api.table import Table
 
 __all__ = [
+    "AsyncSwarm",
     "Flight",
+    "OrderFailed",
+    "RunningSwarm",
     "Simulation",
     "Table",
+    "connect",
+    "connect_async",
     "fly",
+    "launch",
     "read",
     "simulate",
     "solve",
@@ -27,6 +37,10 @@ __all__ = [
 ]
 """The public names."""
 _MODULE_OF = {
+    **dict.fromkeys(("connect", "connect_async", "launch"), "connect"),
+    "AsyncSwarm": "running.async_swarm",
+    "OrderFailed": "running.receipts",
+    "RunningSwarm": "running.running_swarm",
     "Flight": "flights",
     "fly": "flights",
     "read": "flights",

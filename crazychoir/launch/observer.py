@@ -190,24 +190,39 @@ class Window:
         "refused" and the reason.
         """
         return await self._ask(
-            lambda i: self._order(i, verb, seconds, arguments), drones
+            lambda i: self.order_one(i, verb, seconds, arguments), drones
         )
 
     async def command(
         self, verb: str, told: Mapping[int, Mapping[str, Any]], seconds: float
     ) -> Answers:
         """Send a flight command as `order` does, with arguments for each drone."""
-        return await self._ask(lambda i: self._order(i, verb, seconds, told[i]), told)
+        return await self._ask(
+            lambda i: self.order_one(i, verb, seconds, told[i]), told
+        )
 
-    async def _order(
-        self, i: int, verb: str, seconds: float, arguments: Mapping[str, Any]
+    async def order_one(
+        self,
+        i: int,
+        verb: str,
+        seconds: float,
+        arguments: Mapping[str, Any],
+        on_accepted: Callable[[], None] = lambda: None,
     ) -> tuple[bool, Any]:
+        """Send a flight command to one drone, as `order` does, and return its answer.
+
+        on_accepted: called when the drone has accepted
+        """
         began = self.clock.now()
         asks = self.clock.now() + min(seconds, NOT_READY_TIMEOUT)
         while True:
             try:
                 answer = await self.commander.request(
-                    i, verb, began + seconds - self.clock.now(), **arguments
+                    i,
+                    verb,
+                    began + seconds - self.clock.now(),
+                    on_accepted,
+                    **arguments,
                 )
             except TimeoutError:
                 return False, (

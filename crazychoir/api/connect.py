@@ -1,0 +1,62 @@
+"""Connect to a running swarm, or start one, from a script or a notebook."""
+
+from contextlib import AbstractAsyncContextManager
+from functools import partial
+from pathlib import Path
+
+from crazychoir.api.flight_request import FlightRequest
+from crazychoir.api.running.async_swarm import AsyncSwarm, join_swarm
+from crazychoir.api.running.blocking import LoopThread
+from crazychoir.api.running.running_swarm import RunningSwarm
+from crazychoir.api.running.swarm_run import BODY_KINDS, SwarmRun
+
+
+def connect(swarm: str | Path | None = None) -> RunningSwarm:
+    """Connect to a running swarm, and return it when its drones are found.
+
+    swarm: swarm file, or its run on this machine; None: ./swarm.toml, else your only run
+    Raises Refused if there is none, or if several could be meant.
+    """
+    file = None if swarm is None else str(swarm)
+    return RunningSwarm(LoopThread(partial(join_swarm, file)))
+
+
+def connect_async(
+    swarm: str | Path | None = None,
+) -> AbstractAsyncContextManager[AsyncSwarm]:
+    """Connect to a running swarm in the present event loop.
+
+        async with connect_async() as swarm: ...
+
+    swarm: as in `connect`
+    Raises all errors of `connect`.
+    """
+    return join_swarm(None if swarm is None else str(swarm))
+
+
+def launch(
+    mission: str = "operator",
+    drones: int | None = None,
+    swarm: str | Path | None = None,
+    processes: int | None = None,
+    bodies: str = BODY_KINDS.simulated,
+    record: str | Path | None = None,
+) -> RunningSwarm:
+    """Start a run in real time, in processes of its own, and return its swarm.
+
+    mission: name of a mission, or a mission file
+    drones: number of drones; None: as many as the mission has by itself
+    swarm: swarm file; None: the mission's own swarm
+    processes: number of processes; None: one a drone
+    bodies: "sim", or "virtual" for virtual Crazyflies behind cflib
+    record: new file to record the flight into (.mcap)
+    Raises ConfigError for what cannot fly, ProcessFailed if the run does not start.
+    """
+    file = None if swarm is None else str(swarm)
+    config, _ = FlightRequest(mission, drones, file).choose()
+    run = SwarmRun(config, bodies, processes, record)
+    try:
+        return RunningSwarm(LoopThread(partial(join_swarm, run.file)), run)
+    except BaseException:
+        run.end()
+        raise

@@ -1,0 +1,1 @@
+"""A running swarm as an object, blocking and asynchronous."""

@@ -1,0 +1,128 @@
+"""A running swarm that obeys coroutines."""
+
+import asyncio
+from collections.abc import AsyncIterator, Iterator, Sequence
+from contextlib import asynccontextmanager
+from typing import Any, overload
+
+from crazychoir.agent.dead_man import ConsoleReporter, is_console
+from crazychoir.api.running.async_drones import AsyncDrone, AsyncDrones, DroneOrders
+from crazychoir.config.network import impairment_changes
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.config.tables import LinkTable
+from crazychoir.launch.network import make_observer_link, run_attached
+from crazychoir.launch.observer import Window
+from crazychoir.launch.running_swarm import first_process_timeout, running_swarm
+from crazychoir.runtime.clock import Clock, WallClock
+
+LANDING_ACCEPT_TIME = 5.0
+"""s in which the drones of a run that ends must accept that they land."""
+
+
+class AsyncSwarm(AsyncDrones):
+    """All drones of a running swarm. `swarm[3]` is one of them, `swarm[[1, 2]]` are some.
+
+    window: place in the network of the swarm
+    """
+
+    def __init__(self, window: Window) -> None:
+        super().__init__(DroneOrders(window), window.config.ids)
+        self.window = window
+        """Place in the network of the swarm."""
+
+    @property
+    def config(self) -> SwarmConfig:
+        """The swarm file of this flight."""
+        return self.window.config
+
+    @overload
+    def __getitem__(self, which: int) -> AsyncDrone: ...
+    @overload
+    def __getitem__(self, which: Sequence[int]) -> AsyncDrones: ...
+    def __getitem__(self, which: int | Sequence[int]) -> AsyncDrone | AsyncDrones:
+        """Return one drone, or several. Raises ConfigError for a drone that is not there."""
+        if isinstance(which, int):
+            self.window.check("swarm[i]", (which,))
+            return AsyncDrone(self._orders, (which,))
+        self.window.check("swarm[ids]", which)
+        return AsyncDrones(self._orders, which)
+
+    def __iter__(self) -> Iterator[AsyncDrone]:
+        return (self[i] for i in self.ids)
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    async def impair(
+        self,
+        loss: float | None = None,
+        delay: float | None = None,
+        jitter: float | None = None,
+        edge: tuple[int, int] | None = None,
+        drone: int | None = None,
+        clear: bool = False,
+    ) -> dict[int, Any]:
+        """Change the simulated network between the drones, and return what each drone simulates.
+
+        loss: probability that a message is lost
+        delay: s
+        jitter: s
+        edge: only between these two drones
+        drone: only at this drone
+        clear: whether to undo all changes first
+        """
+        scope: dict[str, Any] = {"edge": edge, "drone": drone, "clear": clear or None}
+        given = {key: value for key, value in scope.items() if value is not None}
+        changes = impairment_changes(LinkTable(loss=loss, delay=delay, jitter=jitter))
+        found = await self._orders.ask("impair", self.ids, **given, **changes)
+        return dict(found)
+
+    async def begin_landing(self) -> None:
+        """Tell every drone to land, as far as it is there; do not wait until it has landed."""
+        window = self.window
+        await asyncio.gather(
+            *(
+                window.order_one(i, "land", LANDING_ACCEPT_TIME, {})
+                for i in self.ids
+                if window.is_there(i)
+            )
+        )
+
+    async def clear_stop(self) -> None:
+        """Clear an emergency stop."""
+        await self.window.emergency_stop(True)
+
+    @property
+    def _stopped(self) -> Sequence[int] | None:
+        return None
+
+
+@asynccontextmanager
+async def join_swarm(swarm: str | None) -> AsyncIterator[AsyncSwarm]:
+    """Join a running swarm in the present event loop; leave it at the end.
+
+    swarm: swarm file, or its run on this machine; None as in `running_swarm`
+    Raises Refused if there is none, or if several could be meant.
+    """
+    clock = WallClock(asyncio.get_running_loop())
+    try:
+        async with _join(clock, running_swarm(swarm), swarm) as joined:
+            yield joined
+    finally:
+        clock.close()
+
+
+@asynccontextmanager
+async def _join(
+    clock: Clock, config: SwarmConfig, option: str | None
+) -> AsyncIterator[AsyncSwarm]:
+    link = make_observer_link(clock, config)
+    window = Window(clock, config, link, option, first_process_timeout(config))
+    reporters = (
+        [ConsoleReporter(window.commander, config.ids)]
+        if is_console(config, link.bus.host)
+        else []
+    )
+    async with run_attached(link, *reporters):
+        await window.find()
+        yield AsyncSwarm(window)

@@ -1,0 +1,187 @@
+"""A run of a swarm in real time that a program starts, in processes of its own."""
+
+import json
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import msgspec
+
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.errors import ConfigError, ProcessFailed
+from crazychoir.files.private_folder import scratch_folder
+from crazychoir.launch.processes import END_GRACE
+from crazychoir.launch.run_registry import list_runs_of_file
+
+LANDING_TIME = 60.0
+"""s for the drones to land and for the run to end, before it is told to end, then killed."""
+LOOK_INTERVAL = 0.05
+"""s between two looks for the run in the registry."""
+START_TIMEOUT = 180.0
+"""s in which a run must be found; the first one compiles its laws."""
+SHOWN_LINES = 12
+"""Last lines of the log of a run that an error shows."""
+DRONES_PER_DONGLE = 3
+"""Number of virtual Crazyflies behind one modelled dongle."""
+VIRTUAL_HOST = "127.0.0.1"
+"""Host of virtual Crazyflies."""
+
+
+@dataclass(frozen=True, slots=True)
+class BodyKinds:
+    """What a run may fly."""
+
+    simulated: str = "sim"
+    """The bodies that the swarm file names; by default simulated ones."""
+    virtual: str = "virtual"
+    """Virtual Crazyflies: a model of the firmware behind cflib."""
+
+
+BODY_KINDS = BodyKinds()
+
+
+class SwarmRun:
+    """A run that this program has started.
+
+    config: the swarm
+    bodies: one of BODY_KINDS
+    processes: number of processes, None: as the swarm file says
+    record: new file to record into, None for none
+    Raises ConfigError for unknown bodies, ProcessFailed if the run does not start.
+    """
+
+    def __init__(
+        self,
+        config: SwarmConfig,
+        bodies: str,
+        processes: int | None = None,
+        record: str | Path | None = None,
+    ) -> None:
+        if bodies not in (BODY_KINDS.simulated, BODY_KINDS.virtual):
+            allowed = f'"{BODY_KINDS.simulated}" or "{BODY_KINDS.virtual}"'
+            raise ConfigError("launch: bodies", bodies, allowed)
+        is_virtual = bodies == BODY_KINDS.virtual
+        flown = with_virtual_bodies(config) if is_virtual else config
+        self._kept = ExitStack()
+        self._bodies: subprocess.Popen[str] | None = None
+        with ExitStack() as undone:
+            undone.callback(self._kept.close)
+            folder = self._kept.enter_context(
+                scratch_folder(f"crazychoir-{flown.name}-")
+            )
+            self._log = folder / "run.log"
+            file = folder / "swarm.json"
+            file.write_text(flown.dumps(), encoding="utf-8")
+            if is_virtual:
+                self._bodies = self._start("virtual", "--swarm", str(file))
+                undone.callback(self._end_bodies)
+            options = [] if processes is None else ["--processes", str(processes)]
+            if record is not None:
+                options += ["--record", str(Path(record).resolve())]
+            self._process = self._start("run", str(file), *options)
+            undone.callback(self._interrupt)
+            self.file = self._find(file)
+            """Swarm file of this flight, by which the run is found."""
+            undone.pop_all()
+
+    def _start(self, *words: str) -> subprocess.Popen[str]:
+        log: IO[str] = self._kept.enter_context(self._log.open("a", encoding="utf-8"))
+        return subprocess.Popen(
+            [sys.executable, "-m", "crazychoir", *words, "--json"],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=log,
+            text=True,
+            start_new_session=True,  # Ctrl-C is for this program, which lands the drones
+        )
+
+    def _find(self, file: Path) -> str:
+        """Wait until the run is in the registry, and return its swarm file."""
+        for _ in range(round(START_TIMEOUT / LOOK_INTERVAL)):
+            if found := list_runs_of_file(file):
+                return found[0].file
+            if self._process.poll() is not None:
+                break
+            time.sleep(LOOK_INTERVAL)
+        ended = self._process.poll() is not None
+        said = self._wait_for_end() if ended else ""
+        raise ProcessFailed("the run", self._explain_failure(said))
+
+    def _explain_failure(self, said: str) -> str:
+        """Return why the run has failed: its answer, else the end of its log."""
+        try:
+            return str(json.loads(said)["reason"])
+        except (ValueError, KeyError, TypeError):
+            lines = self._log.read_text(encoding="utf-8").splitlines()
+            return "\n".join(lines[-SHOWN_LINES:]) or "no sign of life"
+
+    def end(self) -> dict[str, Any]:
+        """Wait until the run has ended, and return its result.
+
+        A run that does not end lands its drones by itself, and is ended.
+        """
+        try:
+            said = self._wait_for_end()
+        finally:
+            self._end_bodies()
+        try:
+            result: dict[str, Any] = json.loads(said)
+        except ValueError as error:
+            raise ProcessFailed("the run", self._explain_failure(said)) from error
+        finally:
+            self._kept.close()
+        return result
+
+    def _wait_for_end(self) -> str:
+        """Wait for the end of the run, end it if it takes too long; return what it has printed."""
+        for ending in (signal.SIGTERM, signal.SIGKILL):
+            try:
+                return self._process.communicate(timeout=LANDING_TIME)[0]
+            except subprocess.TimeoutExpired:
+                self._process.send_signal(ending)
+        return self._process.communicate()[0]
+
+    def _interrupt(self) -> None:
+        """End a run that has not begun well."""
+        self._process.send_signal(signal.SIGTERM)
+        self._wait_for_end()
+
+    def _end_bodies(self) -> None:
+        if self._bodies is not None:
+            self._bodies.send_signal(signal.SIGINT)
+            self._bodies.communicate(timeout=END_GRACE)
+            self._bodies = None
+
+
+def with_virtual_bodies(config: SwarmConfig) -> SwarmConfig:
+    """Return the same swarm with virtual Crazyflies on free UDP ports of this machine."""
+    poses, *ports = find_free_ports(len(config.ids) + 1)
+    drones = [
+        {
+            **msgspec.to_builtins(drone),
+            "uri": f"udp://{VIRTUAL_HOST}:{port}",
+            "platform": "cf21",
+            "dongle": k // DRONES_PER_DONGLE,
+        }
+        for k, (drone, port) in enumerate(zip(config.drones, ports, strict=True))
+    ]
+    cameras = {**msgspec.to_builtins(config.mocap), "source": "virtual", "port": poses}
+    return config.replace(drones=drones, mocap=cameras)
+
+
+def find_free_ports(count: int) -> list[int]:
+    """Return free UDP ports of this machine."""
+    with ExitStack() as held:
+        doors = [
+            held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            for _ in range(count)
+        ]
+        for door in doors:
+            door.bind((VIRTUAL_HOST, 0))
+        return sorted(door.getsockname()[1] for door in doors)

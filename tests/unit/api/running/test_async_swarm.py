@@ -1,0 +1,172 @@
+"""A running swarm as an asynchronous object, over whole drones in virtual time."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from operators import play_scene
+
+from crazychoir.agents import operator as mission
+from crazychoir.api.running.async_swarm import AsyncSwarm
+from crazychoir.api.running.receipts import OrderFailed, OrderReceipt
+from crazychoir.errors import ConfigError
+from crazychoir.launch.observer import Window
+from crazychoir.planning.minimum_snap import minimum_snap
+from crazychoir.planning.trajectory_file import write_pieces
+from crazychoir.safety.rules.modes import Mode
+
+
+def join(operator):
+    """Return the swarm of a flight in virtual time."""
+    bus = operator.agent.bus
+    port = operator.commander.port
+    seen = SimpleNamespace(
+        ports={port.address: port}, subscribe=bus.subscribe, host=bus.host
+    )
+    link = SimpleNamespace(bus=seen, directory=dict.fromkeys(bus.ports), peers={})
+    return AsyncSwarm(Window(operator.clock, operator.agent.config, link))
+
+
+def fly(scene, drones=2):
+    async def joined(operator):
+        await scene(join(operator), operator)
+
+    made = SimpleNamespace(guidance=mission.guidance)
+    return play_scene(made, joined, mission.swarm(drones))
+
+
+def test_script_takes_off_moves_follows_and_lands(tmp_path):
+    eight = tmp_path / "path.csv"
+    write_pieces(eight, minimum_snap([[0, 0, 0], [0.4, 0.3, 0.0], [0.8, 0, 0.1]]))
+
+    async def scene(swarm, operator):
+        await swarm.take_off(height=0.5, duration=2.0)
+        await swarm.go_to([0.0, 0.5, 0.2], relative=True)
+        states = await swarm.states()
+        assert states[1].p == pytest.approx([0.6, 0.5, 0.7], abs=0.05)
+        await swarm.follow(eight)
+        assert (await swarm[0].state()).p == pytest.approx([0.8, 0.5, 0.8], abs=0.05)
+        began = operator.clock.now()
+        await swarm.follow(str(eight), timescale=2.0, reverse=True)
+        seconds = 2.0 * minimum_snap([[0, 0, 0], [0.4, 0.3, 0], [0.8, 0, 0.1]]).duration
+        assert operator.clock.now() - began == pytest.approx(seconds, abs=0.5)
+        await swarm[1].velocity([0.0, -0.3, 0.0], duration=1.0)
+        await swarm[[0, 1]].hold()
+        await swarm[0].go_to([0.0, 0.0, 0.6], speed=0.3)
+        await swarm.land(duration=2.0)
+        assert operator.modes() == [Mode.GROUND] * 2
+
+    assert all(result["success"] for result in fly(scene).values())
+
+
+def test_refused_drone_raises_with_its_receipt():
+    async def scene(swarm, operator):
+        with pytest.raises(OrderFailed) as failed:
+            await swarm[1].go_to([0.0, 0.0, 1.0])
+        assert failed.value.receipts == (
+            OrderReceipt(1, "go-to", "refused", "it is on ground"),
+        )
+        assert str(failed.value) == "drone 1: go-to refused: it is on ground"
+        await swarm[0].take_off()
+        with pytest.raises(OrderFailed) as failed:
+            await swarm.take_off()
+        assert [receipt.drone for receipt in failed.value.receipts] == [0]
+        await swarm.land()
+
+    fly(scene)
+
+
+def test_absent_drone_raises_at_once():
+    async def scene(swarm, operator):
+        del swarm.window.link.directory[1]
+        began = operator.clock.now()
+        with pytest.raises(OrderFailed, match="drone 1: hold absent: its agent"):
+            await swarm.hold()
+        assert operator.clock.now() - began < 1.0
+        swarm.window.link.directory[1] = None
+        await swarm.land()
+
+    fly(scene)
+
+
+def test_command_without_a_wait_returns_when_it_is_accepted_and_may_be_replaced():
+    async def scene(swarm, operator):
+        await swarm.take_off()
+        began = operator.clock.now()
+        await swarm[0].go_to([0.0, 3.0, 1.0], wait=False)
+        assert operator.clock.now() - began < 0.5
+        await operator.clock.sleep(1.0)
+        await swarm[0].go_to([0.0, 0.0, 1.0])
+        assert (await swarm[0].state()).p == pytest.approx([0, 0, 1], abs=0.05)
+        with pytest.raises(OrderFailed, match="outside the fence"):
+            await swarm[0].go_to([0.0, 0.0, 9.0], wait=False)
+        await swarm.land()
+
+    fly(scene)
+
+
+def test_several_drones_are_not_sent_to_one_place():
+    async def scene(swarm, operator):
+        with pytest.raises(ConfigError, match="relative=True"):
+            await swarm.go_to([0.0, 0.0, 1.0])
+        with pytest.raises(ConfigError, match="drone 7"):
+            swarm[7]
+        await swarm.take_off()
+        await swarm.land()
+
+    fly(scene)
+
+
+def test_parameters_are_read_and_changed():
+    async def scene(swarm, operator):
+        assert sorted(await swarm.param.get()) == [0, 1]
+        names = (await swarm[1].param.get())[1]
+        name, value = next((n, v) for n, v in names.items() if n == "control.kp")
+        changed = (0.9 * np.array(value)).tolist()
+        await swarm[1].param.set(name, changed)
+        found = await swarm.param.get(name)
+        assert found[1] == pytest.approx(changed)
+        assert found[0] == pytest.approx(value)
+        with pytest.raises(OrderFailed) as failed:
+            await swarm.param.set("control.nothing", 1.0)
+        assert failed.value.receipts[0].answer == "refused"
+        await swarm.take_off()
+        await swarm.land()
+
+    fly(scene)
+
+
+def test_network_is_impaired():
+    async def scene(swarm, operator):
+        found = await swarm.impair(loss=0.3, edge=(0, 1))
+        assert "0.3" in str(found[0])
+        await swarm.impair(clear=True)
+        await swarm.take_off()
+        await swarm.land()
+
+    fly(scene)
+
+
+def test_log_collects_states_until_it_is_stopped():
+    async def scene(swarm, operator):
+        log = await swarm[0].log(rate=20.0)
+        await swarm.take_off(height=0.5)
+        log.stop()
+        count = len(log.rows)
+        await swarm.land()
+        assert len(log.rows) == count > 20
+        assert np.all(np.diff(log.rows[:, 0]) > 0.0)
+        assert log.rows[-1, 3] == pytest.approx(0.5, abs=0.05)
+        assert list(log.frame().columns[:4]) == ["t", "x", "y", "z"]
+
+    fly(scene)
+
+
+def test_stop_cuts_the_motors_of_one_drone():
+    async def scene(swarm, operator):
+        await swarm.take_off()
+        await swarm[1].stop()
+        assert operator.modes() == [Mode.HOVER, Mode.CUT]
+        await swarm.begin_landing()
+
+    fly(scene)

@@ -1,0 +1,24 @@
+"""The bodies and the files of a run that a program starts."""
+
+import pytest
+
+from crazychoir.agents import operator as mission
+from crazychoir.api.connect import launch
+from crazychoir.api.running.swarm_run import with_virtual_bodies
+from crazychoir.errors import ConfigError
+from crazychoir.guidance.mission import check_before_flight, load_mission
+
+
+def test_virtual_bodies_have_ports_of_their_own_and_share_dongles():
+    config = with_virtual_bodies(mission.swarm(6))
+    assert len({drone.uri for drone in config.drones} | {config.mocap.port}) == 7
+    assert all(drone.uri.startswith("udp://127.0.0.1:") for drone in config.drones)
+    assert config.topology.dongles == {0: (0, 1, 2), 1: (3, 4, 5)}
+    assert config.mocap.source == "virtual"
+    assert config.mission == "operator"
+    assert check_before_flight(load_mission("operator"), config) == []
+
+
+def test_unknown_bodies_are_refused_before_anything_starts():
+    with pytest.raises(ConfigError, match='allowed: "sim" or "virtual"'):
+        launch("operator", drones=2, bodies="real")
