@@ -7,9 +7,11 @@ from typing import Any
 from crazychoir.bus.commands import ANSWER_TEXTS
 from crazychoir.dashboard.command_place import CommandPlace
 from crazychoir.dashboard.event_log import EventLog
-from crazychoir.dashboard.orders import OrderSender
+from crazychoir.dashboard.orders import MOTION_ORDERS, OrderSender
 from crazychoir.dashboard.receipts import RECEIPT_TEXTS, Receipt, ReceiptBook
+from crazychoir.dashboard.stick import STICK_VERB, StickSender
 from crazychoir.dashboard.stops import CHECK_PERIOD, StopSender
+from crazychoir.types import Point
 
 
 class CommandDesk:
@@ -27,6 +29,7 @@ class CommandDesk:
         """Receipts of all commands."""
         self._orders = OrderSender(place, self.book)
         self._stops = StopSender(place, self.book)
+        self._stick = StickSender(place, self.book)
 
     def ended(self) -> str:
         """Return the reason why no drone can obey; empty if a drone may."""
@@ -67,8 +70,24 @@ class CommandDesk:
                     receipt, i, ANSWER_TEXTS.refused, RECEIPT_TEXTS.replayed
                 )
         else:
+            if verb in MOTION_ORDERS:
+                self._stick.end(receipt.answers, verb)
             self._orders.send(receipt, seconds, each, says, first)
         return receipt
+
+    def steer(self, drone: int, v: Point, yaw_rate: float) -> Receipt:
+        """Let a drone fly with a velocity of the page's stick, until the next one comes.
+
+        drone: id
+        v: (3,) m/s, world
+        yaw_rate: rad/s
+        """
+        if self.place.replays:
+            receipt = self.book.add(STICK_VERB, (drone,), "by hand")
+            why = RECEIPT_TEXTS.replayed
+            self.book.answer(receipt, drone, ANSWER_TEXTS.refused, why)
+            return receipt
+        return self._stick.steer(drone, v, yaw_rate)
 
     def stop(
         self, drones: Iterable[int] | None = None, clear: bool = False, key: str = ""
@@ -91,6 +110,7 @@ class CommandDesk:
         receipt = self.book.add(verb, ids, "", key)
         if not clear:
             self._orders.withdraw(receipt)
+            self._stick.end(receipt.answers, "stop")
         self._stops.send(receipt, clear, alone=drones is not None and not clear)
         return receipt
 
@@ -103,4 +123,5 @@ class CommandDesk:
     def close(self) -> None:
         """Cancel all waiting."""
         self._orders.close()
+        self._stick.close()
         self._stops.close()

@@ -35,6 +35,7 @@ from crazychoir.dashboard.requests import (
     Order,
     PlanTrajectory,
     Save,
+    Steer,
     Stop,
     Strokes,
 )
@@ -71,7 +72,7 @@ class PageOperator:
         Raises ConfigError with the reason if it cannot be done.
         """
         match message:
-            case Order() | Stop() | GoTo():
+            case Order() | Stop() | GoTo() | Steer():
                 self.command(message)
             case Draw() | PlanTrajectory():
                 self._plan = None
@@ -98,7 +99,7 @@ class PageOperator:
                 self.board.begin("task_cancel", str(j), id=j)
         return None
 
-    def command(self, message: Order | Stop | GoTo) -> Receipt:
+    def command(self, message: Order | Stop | GoTo | Steer) -> Receipt:
         """Give a command that needs no preparation, and return its receipt.
 
         Raises ConfigError with the reason if it cannot be given.
@@ -108,6 +109,8 @@ class PageOperator:
                 return self.desk.order(verb, self._those(drones))
             case Stop(drones, clear, key):
                 return self.desk.stop(self._those(drones), clear, key)
+            case Steer(drone, v, yaw_rate):
+                return self.desk.steer(self._checked((drone,))[0], v, yaw_rate)
         return self._go_to(message)
 
     def _impair(self, message: Impair) -> None:

@@ -36,6 +36,15 @@ COMMAND_LABELS = {
 """Labels of the buttons, by command."""
 
 
+STICK_HELP = (
+    "Choose one drone, and click into the frame. Arrow keys move it along x and y, "
+    "Page Up and Page Down up and down; Home and End turn it. On a gamepad, hold a "
+    "shoulder button and move the sticks. The drone stops at each release."
+)
+"""Help for flights by hand."""
+STICK_SPEED = 0.5  # m/s, at first, of flights by hand
+
+
 @dataclass(frozen=True, slots=True)
 class PageHtml:
     """Fixed parts of the page in HTML."""
@@ -125,7 +134,27 @@ class Page:
                 '<span class="field"><label for="pick">A click on the floor says where</label>'
                 '<input id="pick" type="checkbox"></span>'
             )
+        self._stick()
         text('<h3>Receipts</h3><ul id="receipts" class="lines"></ul>')
+
+    def _stick(self) -> None:
+        fast = self.about["speed_limit"]
+        text(
+            f'<h3>Fly by hand</h3><p class="help" id="stick-help">{STICK_HELP}</p>'
+            '<div id="stick" tabindex="0" role="application" aria-label="Fly by hand" '
+            'aria-describedby="stick-help"><span id="stick-said" role="status"></span></div>'
+        )
+        with row():
+            speed = field(
+                "stick_speed",
+                "Speed",
+                min(STICK_SPEED, fast),
+                "m/s",
+                step=0.1,
+                min=0.1,
+                max=fast,
+            )
+            text(speed)
 
     def _plots(self) -> None:
         ids = {str(i): f"drone {i}" for i in self.about["ids"]}

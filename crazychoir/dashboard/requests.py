@@ -23,6 +23,8 @@ Spot = tuple[Metres, Metres]
 """(2,) m, world."""
 Angle = Annotated[float, Meta(ge=-7.0, le=7.0)]
 """rad."""
+Speed = Annotated[float, Meta(ge=-20.0, le=20.0)]
+"""m/s."""
 MOST_TEXT = 200_000
 """Largest number of characters of a file."""
 Row = tuple[Annotated[float, Meta(ge=0.0, le=36_000.0)], Metres, Metres]
@@ -70,6 +72,17 @@ class GoTo(Ask, frozen=True, tag="go-to"):
     """rad, None to keep it."""
     offset: Place = (0.0, 0.0, 0.0)
     """(3,) m, from drone to drone."""
+
+
+class Steer(Ask, frozen=True):
+    """Fly a drone with a velocity, until the next one comes; zeros let it rest."""
+
+    drone: Id
+    """Id of the drone."""
+    v: tuple[Speed, Speed, Speed]
+    """(3,) m/s, world."""
+    yaw_rate: Angle = 0.0
+    """rad/s."""
 
 
 class Draw(Ask, frozen=True):
@@ -172,6 +185,7 @@ Message = (
     Order
     | Stop
     | GoTo
+    | Steer
     | Draw
     | PlanTrajectory
     | Fly

@@ -586,3 +586,48 @@ WRITTEN = """
   };
 })()
 """
+
+
+async def test_chosen_drone_flies_by_arrow_keys_and_gamepad_while_they_are_held(
+    tmp_path,
+):
+    async with looked_at(tmp_path) as (page, wire, _):
+        await page.wait_for_selector("#connection[data-there='true']")
+        await page.focus("#stick")
+        await page.keyboard.press("ArrowUp")
+        await says(page, "header [role=alert]", "choose one drone")
+        assert wire.of("steer") == []
+
+        await page.check('input[aria-label="drone 2"]')
+        await page.fill("#stick_speed", "0.4")
+        await page.focus("#stick")
+        await page.keyboard.down("ArrowUp")
+        await page.keyboard.down("PageUp")
+        await until(lambda: len(wire.of("steer")) > 4, 10.0)
+        rising = {"ask": "steer", "drone": 2, "v": [0, 0.4, 0.4], "yaw_rate": 0}
+        assert wire.of("steer")[-1] == rising
+        await page.keyboard.up("PageUp")
+        await page.keyboard.up("ArrowUp")
+        still = {"ask": "steer", "drone": 2, "v": [0, 0, 0], "yaw_rate": 0}
+        await until(lambda: wire.of("steer")[-1] == still, 5.0)
+        count = len(wire.of("steer"))
+
+        await page.keyboard.down("ArrowLeft")
+        await until(lambda: wire.of("steer")[-1]["v"] == [-0.4, 0, 0], 5.0)
+        await page.focus("#stick_speed")
+        await until(lambda: wire.of("steer")[-1] == still, 5.0)
+        await page.keyboard.up("ArrowLeft")
+
+        count = len(wire.of("steer"))
+        await page.evaluate(
+            """window.pad = { axes: [0.1, -1, 0.5, 0], buttons: Array(8).fill({ pressed: false }) };
+            navigator.getGamepads = () => [null, pad]"""
+        )
+        await page.wait_for_timeout(300)
+        assert len(wire.of("steer")) == count, "no shoulder button is held"
+        await page.evaluate("pad.buttons = pad.buttons.with(5, { pressed: true })")
+        await until(lambda: len(wire.of("steer")) > count + 2, 5.0)
+        flown = {"ask": "steer", "drone": 2, "v": [0, 0.4, 0], "yaw_rate": -0.5}
+        assert wire.of("steer")[-1] == flown
+        await page.evaluate("pad.buttons = pad.buttons.with(5, { pressed: false })")
+        await until(lambda: wire.of("steer")[-1] == still, 5.0)

@@ -5,6 +5,7 @@ import * as draw from "./draw.js";
 import * as plots from "./plots.js";
 import * as receipts from "./receipts.js";
 import * as scene from "./scene.js";
+import * as stick from "./stick.js";
 import * as stops from "./stops.js";
 import * as table from "./table.js";
 import { make, set } from "./table.js";
@@ -166,7 +167,7 @@ function begin() {
   });
   on("locked", () => find("connection").querySelector("a") || find("connection").replaceChildren(make("a", { href: "/" }, "LOG IN AGAIN")));
   on("links", (lost) => (seen.links = lost));
-  for (const part of [stops, receipts, draw, plots, tasks]) part.start();
+  for (const part of [stops, receipts, draw, plots, tasks, stick]) part.start();
   scene.start(find("scene"));
   connect();
 }

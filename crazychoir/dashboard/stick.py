@@ -1,0 +1,111 @@
+"""Flight by hand: the velocities of a page's stick or arrow keys, sent to one drone."""
+
+import asyncio
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from crazychoir.bus.commands import ANSWER_TEXTS
+from crazychoir.dashboard.command_place import CommandPlace
+from crazychoir.dashboard.receipts import RECEIPT_KINDS, Receipt, ReceiptBook
+from crazychoir.types import Point
+
+STICK_VERB = "velocity"
+"""The command."""
+
+
+@dataclass(frozen=True, slots=True)
+class StickTimes:
+    """How long the velocities of a stick count."""
+
+    velocity_duration: float = 0.5
+    """s for which a drone flies a velocity, if the page sends no newer one."""
+    release_duration: float = 0.1
+    """s of the zero velocity at the release of the stick; the drone then rests."""
+    patience: float = 5.0
+    """s for which the zero velocity is repeated until the drone answers."""
+
+
+STICK_TIMES = StickTimes()
+
+
+@dataclass
+class _StickFlight:
+    """The flight of one drone by hand, from the first velocity to the release."""
+
+    receipt: Receipt
+    """Its receipt."""
+    sending: asyncio.Task[None] | None = None
+    """Sends the newest velocity."""
+
+
+class StickSender:
+    """Sends velocities of a stick; each replaces the one before, which is not sent again.
+
+    A drone that hears of no new velocity for STICK_TIMES.velocity_duration s comes to rest. Fence and
+    collision filter act as on all velocities.
+
+    place: place on the network from which they are sent
+    book: receipts, one for each flight by hand
+    """
+
+    def __init__(self, place: CommandPlace, book: ReceiptBook) -> None:
+        self._place = place
+        self._book = book
+        self._flights: dict[int, _StickFlight] = {}
+
+    def steer(self, drone: int, v: Point, yaw_rate: float) -> Receipt:
+        """Send a velocity (3,) m/s, world, and a yaw rate in rad/s; zeros end the flight by hand."""
+        flight = self._flights.get(drone)
+        if flight is None:
+            receipt = self._book.add(STICK_VERB, (drone,), "by hand")
+            flight = self._flights[drone] = _StickFlight(receipt)
+        if flight.sending is not None:
+            flight.sending.cancel()
+        is_released = not (any(v) or yaw_rate)
+        work = self._send(drone, flight, list(map(float, v)), yaw_rate, is_released)
+        flight.sending = asyncio.get_running_loop().create_task(work)
+        return flight.receipt
+
+    def end(self, drones: Iterable[int], by: str) -> None:
+        """Send no more to these drones, because of another command."""
+        for i in drones:
+            flight = self._flights.pop(i, None)
+            if flight is not None and flight.sending is not None:
+                flight.sending.cancel()
+                self._book.withdraw(flight.receipt, i, by)
+
+    def close(self) -> None:
+        """Cancel all waiting."""
+        for flight in self._flights.values():
+            if flight.sending is not None:
+                flight.sending.cancel()
+
+    async def _send(
+        self,
+        drone: int,
+        flight: _StickFlight,
+        v: list[float],
+        yaw_rate: float,
+        is_released: bool,
+    ) -> None:
+        """Send one velocity until it is flown or replaced, and note the end of the flight."""
+        receipt = flight.receipt
+        times = STICK_TIMES
+        duration = times.release_duration if is_released else times.velocity_duration
+        try:
+            answer = await self._place.commander.request(
+                drone,
+                STICK_VERB,
+                times.patience if is_released else 2.0 * duration,
+                lambda: self._book.answer(receipt, drone, ANSWER_TEXTS.accepted),
+                v=v,
+                yaw_rate=yaw_rate,
+                duration=duration,
+            )
+        except TimeoutError as error:
+            self._flights.pop(drone, None)
+            self._book.answer(receipt, drone, RECEIPT_KINDS.silent, str(error))
+            return
+        self._flights.pop(drone, None)
+        detail = "" if answer.detail is None else answer.detail
+        self._book.answer(receipt, drone, answer.kind, detail)
