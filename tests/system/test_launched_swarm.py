@@ -1,10 +1,15 @@
-"""A script that starts a swarm in real time, flies it, and reads its recording."""
+"""Scripts that start a swarm in real time, fly it, and read its recording."""
 
+import re
+import runpy
+
+import pandas as pd
 import pytest
 
 from crazychoir.api import OrderFailed, launch, read
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
+PAGE = "crazychoir/api/README.md"
 
 
 def test_script_launches_a_swarm_flies_it_and_reads_its_track(tmp_path):
@@ -15,8 +20,33 @@ def test_script_launches_a_swarm_flies_it_and_reads_its_track(tmp_path):
         assert swarm[1].state().p == pytest.approx([0.6, 0.3, 0.3], abs=0.1)
         with pytest.raises(OrderFailed, match="drone 0: go-to refused: go-to = "):
             swarm[0].go_to([0.0, 0.0, 50.0])
-        assert isinstance(swarm[0].param["control.kp"], float | list)
+        assert swarm[0].param["control.kp"] == swarm.param["control.kp"][1]
     assert swarm.result["success"], swarm.result
-    assert read(record).track(1)["position"][-1] == pytest.approx(
-        [0.6, 0.3, 0.0], abs=0.1
-    )
+    end = read(record).track(1)["position"][-1]
+    assert end == pytest.approx([0.6, 0.3, 0.0], abs=0.1)
+
+
+def read_script(repository):
+    """Return the script of the page."""
+    text = (repository / PAGE).read_text()
+    (code,) = re.findall(r"<!-- script.py -->\n```python\n(.*?)```", text, re.DOTALL)
+    return code.replace("agents/data", str(repository / "agents" / "data"))
+
+
+def test_script_of_the_page_has_at_most_20_lines(repository):
+    assert len(read_script(repository).splitlines()) <= 20
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("bodies", ["sim", "virtual"])
+def test_script_of_the_page_flies_simulated_and_virtual_drones(
+    repository, tmp_path, monkeypatch, capsys, bodies
+):
+    monkeypatch.chdir(tmp_path)
+    code = read_script(repository).replace('"sim"', f'"{bodies}"')
+    (tmp_path / "script.py").write_text(code)
+    found = runpy.run_path("script.py")
+    assert found["swarm"].result["success"], capsys.readouterr().out
+    assert isinstance(found["table"].max(), pd.DataFrame)
+    assert found["table"].max()["x_m"][0] == pytest.approx(0.8, abs=0.1)

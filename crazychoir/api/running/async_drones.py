@@ -74,7 +74,7 @@ class DroneOrders:
         seconds: float,
         wait: bool,
     ) -> OrderReceipt | None:
-        """Send a command to one drone; return its receipt, None for one that obeys."""
+        """Send a command to one drone; return its receipt, None if it obeys."""
         if not self.window.is_there(i):
             return OrderReceipt(i, verb, "absent", ABSENT_TEXT)
         accepted = asyncio.Event()

@@ -72,7 +72,7 @@ class LoopThread(Generic[T]):
 
 
 class HasThread(Protocol):
-    """An object whose asynchronous counterpart lives in a thread."""
+    """An object with an asynchronous counterpart that lives in a thread."""
 
     @property
     def thread(self) -> LoopThread[Any]:

@@ -1,4 +1,4 @@
-"""What drones have answered to a command, and the error for those that did not obey."""
+"""What drones have answered to a command, and the error for drones that did not obey."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -8,7 +8,7 @@ const LOOK_PERIOD = 100; // ms between two velocities
 const YAW_RATE = 1.0; // rad/s
 const DEAD_BUTTONS = [4, 5]; // shoulder buttons of the standard layout: one of them must be held
 const STICK_REST = 0.15; // a stick nearer to its centre counts as centred
-const KEYS = {
+const KEY_WISHES = {
   ArrowRight: [1, 0, 0, 0], ArrowLeft: [-1, 0, 0, 0],
   ArrowUp: [0, 1, 0, 0], ArrowDown: [0, -1, 0, 0],
   PageUp: [0, 0, 1, 0], PageDown: [0, 0, -1, 0],
@@ -25,7 +25,7 @@ const centred = (value) => (Math.abs(value ?? 0) < STICK_REST ? 0 : value);
 // Return what the keys ask for: x, y, z, yaw, each -1 to 1.
 function wishOfKeys() {
   const wish = [0, 0, 0, 0];
-  for (const key of held) KEYS[key].forEach((part, k) => (wish[k] += part));
+  for (const key of held) KEY_WISHES[key].forEach((part, k) => (wish[k] += part));
   return wish;
 }
 
@@ -81,7 +81,7 @@ function letGo() {
 export function start() {
   const pad = find("stick");
   pad.addEventListener("keydown", (event) => {
-    if (!(event.key in KEYS) || event.ctrlKey || event.altKey || event.metaKey) return;
+    if (!(event.key in KEY_WISHES) || event.ctrlKey || event.altKey || event.metaKey) return;
     event.preventDefault();
     if (held.has(event.key)) return;
     held.add(event.key);
