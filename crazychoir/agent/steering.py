@@ -195,7 +195,7 @@ class Steering:
             self._refuse(
                 "its mission controls it: hold the drone first"
                 if flies
-                else f"it is {pilot.mode.value}"
+                else f"it is {describe_state(pilot)}"
             )
 
     async def _reach(

@@ -56,7 +56,9 @@ def launch(
     config, _ = FlightRequest(mission, drones, file).choose()
     run = SwarmRun(config, bodies, processes, record)
     try:
-        return RunningSwarm(LoopThread(partial(join_swarm, run.file)), run)
+        thread = LoopThread(partial(join_swarm, run.file))
     except BaseException:
         run.end()
         raise
+    thread.call(thread.value.wait_until_ready())
+    return RunningSwarm(thread, run)

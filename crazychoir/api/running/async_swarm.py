@@ -1,12 +1,14 @@
 """A running swarm that obeys coroutines."""
 
 import asyncio
-from collections.abc import AsyncIterator, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from contextlib import asynccontextmanager
 from typing import Any, overload
 
 from crazychoir.agent.dead_man import ConsoleReporter, is_console
+from crazychoir.agent.drone import UNFIT_TASK, WAITING_TASK
 from crazychoir.api.running.async_drones import AsyncDrone, AsyncDrones, DroneOrders
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.network import impairment_changes
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import LinkTable
@@ -14,7 +16,12 @@ from crazychoir.launch.network import make_observer_link, run_attached
 from crazychoir.launch.observer import Window
 from crazychoir.launch.running_swarm import first_process_timeout, running_swarm
 from crazychoir.runtime.clock import Clock, WallClock
+from crazychoir.types import Status
 
+LOOK_INTERVAL = 0.05
+"""s between two looks at what the drones do."""
+READY_TIMEOUT = 60.0
+"""s for drones to get ready. A drone that is not ready then refuses commands, and says why."""
 LANDING_ACCEPT_TIME = 5.0
 """s in which the drones of a run that ends must accept that they land."""
 
@@ -76,6 +83,25 @@ class AsyncSwarm(AsyncDrones):
         changes = impairment_changes(LinkTable(loss=loss, delay=delay, jitter=jitter))
         found = await self._orders.ask("impair", self.ids, **given, **changes)
         return dict(found)
+
+    async def wait_until_ready(self) -> None:
+        """Wait until no drone prepares or waits for the others, at most READY_TIMEOUT s."""
+        window = self.window
+        tasks = dict.fromkeys(self.ids, WAITING_TASK)
+
+        def make_reader(i: int) -> Callable[[Status, float], None]:
+            def keep(status: Status, age: float) -> None:
+                tasks[i] = status.task
+
+            return keep
+
+        for i in self.ids:
+            window.read(DRONE_TOPICS.status, i, make_reader(i))
+        ends = window.clock.now() + READY_TIMEOUT
+        while window.clock.now() < ends and any(
+            task in (WAITING_TASK, UNFIT_TASK) for task in tasks.values()
+        ):
+            await window.clock.sleep(LOOK_INTERVAL)
 
     async def begin_landing(self) -> None:
         """Tell every drone to land, as far as it is there; do not wait until it has landed."""

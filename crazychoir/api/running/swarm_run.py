@@ -1,5 +1,6 @@
 """A run of a swarm in real time that a program starts, in processes of its own."""
 
+import contextlib
 import json
 import signal
 import socket
@@ -14,11 +15,14 @@ from typing import IO, Any
 import msgspec
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.errors import ConfigError, ProcessFailed
+from crazychoir.errors import ConfigError, ProcessFailed, Refused
 from crazychoir.files.private_folder import scratch_folder
 from crazychoir.launch.processes import END_GRACE
 from crazychoir.launch.run_registry import list_runs_of_file
+from crazychoir.radio.virtual.control import ask_server
 
+CHILD_MODULE = "crazychoir.api.running.child_command"
+"""Module that runs as a command, and ends with this program."""
 LANDING_TIME = 60.0
 """s for the drones to land and for the run to end, before it is told to end, then killed."""
 LOOK_INTERVAL = 0.05
@@ -29,6 +33,8 @@ SHOWN_LINES = 12
 """Last lines of the log of a run that an error shows."""
 DRONES_PER_DONGLE = 3
 """Number of virtual Crazyflies behind one modelled dongle."""
+VIRTUAL_SENDER = "xyz"
+"""Sender of virtual Crazyflies: places, few enough for a dongle with three drones."""
 VIRTUAL_HOST = "127.0.0.1"
 """Host of virtual Crazyflies."""
 
@@ -81,6 +87,7 @@ class SwarmRun:
             if is_virtual:
                 self._bodies = self._start("virtual", "--swarm", str(file))
                 undone.callback(self._end_bodies)
+                self._wait_for_bodies(flown.mocap.port)
             options = [] if processes is None else ["--processes", str(processes)]
             if record is not None:
                 options += ["--record", str(Path(record).resolve())]
@@ -93,13 +100,25 @@ class SwarmRun:
     def _start(self, *words: str) -> subprocess.Popen[str]:
         log: IO[str] = self._kept.enter_context(self._log.open("a", encoding="utf-8"))
         return subprocess.Popen(
-            [sys.executable, "-m", "crazychoir", *words, "--json"],
+            [sys.executable, "-m", CHILD_MODULE, *words, "--json"],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
             stderr=log,
             text=True,
             start_new_session=True,  # Ctrl-C is for this program, which lands the drones
         )
+
+    def _wait_for_bodies(self, port: int) -> None:
+        """Wait until the virtual Crazyflies answer at this UDP port."""
+        bodies = self._bodies
+        for _ in range(round(START_TIMEOUT / LOOK_INTERVAL)):
+            with contextlib.suppress(Refused, ConnectionError):
+                ask_server({"ask": "state"}, port=port)
+                return
+            if bodies is None or bodies.poll() is not None:
+                break
+            time.sleep(LOOK_INTERVAL)
+        raise ProcessFailed("virtual Crazyflies", self._explain_failure(""))
 
     def _find(self, file: Path) -> str:
         """Wait until the run is in the registry, and return its swarm file."""
@@ -160,7 +179,10 @@ class SwarmRun:
 
 
 def with_virtual_bodies(config: SwarmConfig) -> SwarmConfig:
-    """Return the same swarm with virtual Crazyflies on free UDP ports of this machine."""
+    """Return the same swarm with virtual Crazyflies on free UDP ports of this machine.
+
+    They fly places by their planner on board, unless the swarm names another sender.
+    """
     poses, *ports = find_free_ports(len(config.ids) + 1)
     drones = [
         {
@@ -172,7 +194,9 @@ def with_virtual_bodies(config: SwarmConfig) -> SwarmConfig:
         for k, (drone, port) in enumerate(zip(config.drones, ports, strict=True))
     ]
     cameras = {**msgspec.to_builtins(config.mocap), "source": "virtual", "port": poses}
-    return config.replace(drones=drones, mocap=cameras)
+    control = msgspec.to_builtins(config.control)
+    control["sender"] = config.control.sender or VIRTUAL_SENDER
+    return config.replace(drones=drones, mocap=cameras, control=control)
 
 
 def find_free_ports(count: int) -> list[int]:

@@ -15,6 +15,7 @@ def test_virtual_bodies_have_ports_of_their_own_and_share_dongles():
     assert all(drone.uri.startswith("udp://127.0.0.1:") for drone in config.drones)
     assert config.topology.dongles == {0: (0, 1, 2), 1: (3, 4, 5)}
     assert config.mocap.source == "virtual"
+    assert config.control.sender == "xyz"
     assert config.mission == "operator"
     assert check_before_flight(load_mission("operator"), config) == []
 
