@@ -22,6 +22,8 @@ from crazychoir.guidance.member import describe_state
 from crazychoir.guidance.turns import is_blocked
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.point_to_point import PEAK_SPEED
+from crazychoir.planning.scaling import PICK_UP_TIME, ResumedTrajectory
+from crazychoir.planning.trajectory import Trajectory
 from crazychoir.safety.rules.modes import Mode
 from crazychoir.simulation.remote import RemoteLink
 from crazychoir.types import FullState, Vec, Velocity
@@ -128,20 +130,41 @@ class Steering:
         return await self._follow(flown, turn)
 
     async def _follow(self, path: Piecewise, turn: int) -> str:
-        """Fly the path from its start, where the drone is. Raises Refused if it is not flown to its end."""
+        """Fly the path from its start, where the drone is.
+
+        The drone's agent continues a path that the safety table brakes, from where the drone stopped.
+        Raises Refused if it is not flown to its end.
+        """
         pilot = self.drone.pilot
+        left: Trajectory = path
+        for _ in range(FLIGHT_LIMITS.most_attempts):
+            braked = pilot.judge.braked
+            t = await self._fly_until_stopped(left, turn)
+            if pilot.flights.plan is left and pilot.gap(path.end[0:3]) <= (
+                FLIGHT_LIMITS.arrival_distance
+            ):
+                return "flown"
+            if pilot.judge.braked == braked or not 0.0 < t < left.duration:
+                break
+            flight = pilot.setup.limits
+            pace = 4.0 * flight.speed_limit / flight.acceleration_limit
+            left = ResumedTrajectory(left, t, max(PICK_UP_TIME, pace))
+            start = left.sample(0.0)
+            await self._reach(start.p, start.yaw, 0.0, turn)
+        self._refuse(
+            f"its path was not flown to the end: {pilot.notes.text or pilot.mode.value}"
+        )
+
+    async def _fly_until_stopped(self, path: Trajectory, turn: int) -> float:
+        """Fly a path until it ends or is stopped, and return how many s of it were flown."""
+        pilot = self.drone.pilot
+        t = 0.0
         left = pilot.fly(path, commanded=True)
         while left > 0.0 and pilot.flights.plan is path:
+            t = pilot.clock.now() - pilot.flights.start
             await self._look(turn)
             left = pilot.remaining()
-        if (
-            pilot.flights.plan is not path
-            or pilot.gap(path.sample(path.duration).p) > FLIGHT_LIMITS.arrival_distance
-        ):
-            self._refuse(
-                f"its path was not flown to the end: {pilot.notes.text or pilot.mode.value}"
-            )
-        return "flown"
+        return t
 
     async def _upload(self, path: Piecewise) -> None:
         """Upload the path into the memory of the drone. Raises Refused with the reason."""

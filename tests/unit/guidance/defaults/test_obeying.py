@@ -205,3 +205,24 @@ def test_drone_without_commands_lands_and_says_why(monkeypatch):
     result = fly(scene)[0]
     assert not result["success"]
     assert result["reason"] == "drone 0: no command by its operator within 5 s"
+
+
+def test_path_that_the_safety_table_brakes_is_continued():
+    path = fit_spline([0.0, 3.0, 6.0], [[0, 0, 0], [0.5, 0.3, 0], [1.0, 0, 0]])
+
+    async def scene(operator):
+        await operator.order("take-off", 0, height=0.5)
+        flying = operator.begin("fly", 0, **path_message(path, relative=True))
+        await operator.clock.sleep(2.5)
+        pilot = operator.pilot(0)
+        cameras = operator.agent.owners[0].cameras
+        sample = cameras.sample
+        cameras.sample = lambda x, k: None
+        await operator.clock.sleep(0.3)
+        cameras.sample = sample
+        assert pilot.judge.braked == 1
+        assert await flying == (DONE, "flown")
+        assert pilot.state.p == pytest.approx([1.0, 0.0, 0.5], abs=0.05)
+        await operator.order("land", 0)
+
+    fly(scene)
