@@ -12,9 +12,9 @@ from typing import Any, Protocol, cast
 
 from crazychoir.config.checks import refuse_conflicts
 from crazychoir.config.digest import compute_digest, compute_key_digests
-from crazychoir.config.examples import find_example, list_examples, suggest_name
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, Hung, error_text, refuse_exit
+from crazychoir.files.examples import find_example, list_examples, suggest_name
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission_hooks import MissionFile
 from crazychoir.radio.budget import compute_setpoint_rates

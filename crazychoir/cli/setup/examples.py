@@ -9,8 +9,8 @@ from rich.table import Table
 
 from crazychoir.cli.operate.inspect import JsonOption
 from crazychoir.cli.setup.new_files import write_new_files
-from crazychoir.config.examples import list_copies, list_examples, require_example
 from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.files.examples import list_copies, list_examples, require_example
 from crazychoir.launch.console import (
     ANSWER_CONSOLE,
     exit_with_error,

@@ -2,14 +2,14 @@
 
 import pytest
 
-from crazychoir.config.examples import (
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.errors import ConfigError
+from crazychoir.files.examples import (
     find_example,
     list_copies,
     list_examples,
     require_example,
 )
-from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.errors import ConfigError
 
 
 def test_every_swarm_file_of_deploy_is_an_example_with_a_summary(repository):
