@@ -266,9 +266,9 @@ async def test_the_newer_of_two_drawings_counts_whichever_is_planned_first(
     clock, server, page
 ):
 
-    async def aside(work, strokes, pen, config, **limits):
-        await clock.sleep(2.0 if pen.height == 0.5 else 1.0)
-        return work(strokes, pen, config, **limits)
+    async def aside(work, message, config):
+        await clock.sleep(2.0 if message.height == 0.5 else 1.0)
+        return work(message, config)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(operator, "_run_in_thread", aside)
@@ -287,13 +287,13 @@ async def test_one_drawing_is_planned_at_a_time_then_the_newest_waiting_one(
     server, planning, most, begun = Server(clock), [], [], []
     page = server.page()
 
-    async def aside(work, strokes, pen, config, **limits):
-        planning.append(pen.height)
-        begun.append(pen.height)
+    async def aside(work, message, config):
+        planning.append(message.height)
+        begun.append(message.height)
         most.append(len(planning))
         await clock.sleep(1.0)
-        planning.remove(pen.height)
-        return work(strokes, pen, config, **limits)
+        planning.remove(message.height)
+        return work(message, config)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(operator, "_run_in_thread", aside)
