@@ -92,5 +92,6 @@ def write_layout(path: Path, drones: tuple[int, ...], key: str) -> None:
     from crazychoir.bridges.foxglove_layout import make_layout
 
     with output_file(path, "layout") as place:
-        place.write_text(json.dumps(make_layout(drones, key), indent=2) + "\n")
+        text = json.dumps(make_layout(drones, key), indent=2)
+        place.write_text(text + "\n", encoding="utf-8")
         place.chmod(LAYOUT_MODE)
