@@ -153,3 +153,12 @@ def test_a_file_that_is_not_there_or_no_text_is_refused(tmp_path):
     (tmp_path / "bytes.csv").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(TableError, match=r"bytes\.csv"):
         read_pieces(tmp_path / "bytes.csv")
+
+
+def test_shipped_figure_of_eight_begins_and_ends_at_rest_at_its_centre(repository):
+    path = read_pieces(repository / "agents" / "data" / "figure8.csv")
+    assert np.allclose(path.sample(0.0).flat, 0.0)
+    assert np.allclose(path.end, 0.0, atol=1e-9)
+    places = path.samples(np.linspace(0.0, path.duration, 500))[:, 0:3]
+    assert np.allclose(np.abs(places).max(axis=0), [0.8, 0.4, 0.0], atol=0.01)
+    assert path.peaks[0] < 1.0
