@@ -239,6 +239,7 @@ class AsyncDrones:
         timescale: float = 1.0,
         reverse: bool = False,
         relative: bool = True,
+        on_board: bool = False,
         wait: bool = True,
     ) -> None:
         """Fly along a trajectory, from its start to its end.
@@ -247,12 +248,17 @@ class AsyncDrones:
         timescale: factor on its duration; 2 is half the speed
         reverse: whether to fly from its end to its start
         relative: whether it starts at the present set-point of each drone; else at its own places
+        on_board: whether each drone flies it from its own memory, where it has a firmware
         """
         path = (
             trajectory if isinstance(trajectory, Piecewise) else read_pieces(trajectory)
         )
         told = path_message(
-            path, timescale=timescale, reverse=reverse, relative=relative
+            path,
+            timescale=timescale,
+            reverse=reverse,
+            relative=relative,
+            on_board={} if on_board else None,
         )
         await self._give("fly", told, timescale * path.duration, wait)
 

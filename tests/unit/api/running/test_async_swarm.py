@@ -76,6 +76,16 @@ def test_refused_drone_raises_with_its_receipt():
     fly(scene)
 
 
+def test_flight_on_board_is_refused_by_a_drone_without_firmware():
+    async def scene(swarm, operator):
+        await swarm.take_off()
+        with pytest.raises(OrderFailed, match="it has no firmware here"):
+            await swarm.follow(minimum_snap([[0, 0, 0], [0.4, 0.3, 0]]), on_board=True)
+        await swarm.land()
+
+    fly(scene)
+
+
 def test_absent_drone_raises_at_once():
     async def scene(swarm, operator):
         del swarm.window.link.directory[1]
