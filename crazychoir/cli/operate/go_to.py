@@ -125,7 +125,7 @@ def fly(
     ] = False,
     reverse: Annotated[
         bool,
-        typer.Option("--reverse", help="From the end of a trajectory to its start."),
+        typer.Option("--reverse", help="From its end to its start."),
     ] = False,
     swarm: SwarmOption = None,
     as_json: JsonOption = False,
