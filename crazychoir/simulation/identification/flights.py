@@ -125,23 +125,24 @@ def read_flight(path: Path) -> RealFlight:
 
     Raises ConfigError if the file is no flight of this form, or too short.
     """
-    return make_real_flight(path.stem, _read_columns(path))
+    return make_real_flight(path.stem, _read_columns(path), where=str(path))
 
 
 def make_real_flight(
-    name: str, columns: Mapping[str, Mat], notes: Sequence[str] = ()
+    name: str, columns: Mapping[str, Mat], notes: Sequence[str] = (), where: str = ""
 ) -> RealFlight:
     """Align the clocks of a flight, mark its gaps and correct the tilt of its markers.
 
     name: of the recording
     columns: arrays of FLIGHT_COLUMNS, and of SETPOINT_COLUMNS and REQUEST_COLUMNS if recorded
     notes: what was found when they were read
+    where: file, for errors; without one, the name
     Raises ConfigError if the drone does not fly long enough.
     """
     t = columns["t"]
     floor = _find_floor(columns)
     p = columns["p"] - [0.0, 0.0, floor]
-    airborne = find_airborne_rows(name, p[:, 2])
+    airborne = find_airborne_rows(where or name, p[:, 2])
     v = savgol_filter(
         p, FLIGHT_RULES.smoothing_rows, 3, deriv=1, delta=FLIGHT_TIME_STEP, axis=0
     )

@@ -91,6 +91,7 @@ VALUES = {
         2,
         "it tilts otherwise",
     ),
+    DRONE_TOPICS.console: "SYS: a line of the firmware",
 }
 
 
@@ -105,7 +106,7 @@ def test_every_observable_topic_arrives_as_it_was_sent(tmp_path, observer):
     path = tmp_path / "a.mcap"
     assert recorded(path, work, observer) == {
         "file": str(path),
-        "messages": 12,
+        "messages": 13,
         "lost": 0,
         "missed": 0,
         "error": "",
@@ -133,6 +134,7 @@ def test_every_observable_topic_arrives_as_it_was_sent(tmp_path, observer):
     assert by_topic["status"]["suspect"] == [1]
     assert by_topic["result"]["json"] == '{"success": true, "place": [1.0, 1.0, 1.0]}'
     assert by_topic["log"] == {"data": "drone 1: a line"}
+    assert by_topic["console"] == {"data": "SYS: a line of the firmware"}
     assert by_topic["body"]["harm"] == "crashed"
     assert by_topic["telemetry"]["json"] == '{"pm.vbat": [3.9, 0.05]}'
     plan = json.loads(by_topic["plan"]["json"])

@@ -290,6 +290,7 @@ def test_a_robot_within_reach_of_more_tasks_than_a_set_holds_says_so():
         "delivery": points,
         "load": [1.0] * 129,
         "capacity": [1.0],
+        "route_length_limit": 4.0,
     }
     with pytest.raises(
         InstanceError,
@@ -326,9 +327,10 @@ def test_a_search_that_ends_early_does_not_claim_that_there_is_no_plan():
         find_partition(PartitionProblem(columns, 5), seed=0, nodes=100).bound < np.inf
     )
     cut = RoutingSettings(columns=ColumnSettings(most_labels=8))
+    limited = InstanceShape(capacities=(9, 9), route_length_limit=80.0)
     with pytest.raises(SolverError, match="no plan found: route tables were cut"):
         solve_in_loop(
-            random_instance(1, 5, seed=4, shape=InstanceShape(capacities=(9, 9))),
+            random_instance(1, 5, seed=4, shape=limited),
             {0: []},
             "resource-columns",
             cut,

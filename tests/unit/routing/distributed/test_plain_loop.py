@@ -394,10 +394,9 @@ def test_robots_that_did_not_search_know_in_the_same_round_that_there_is_no_plan
 
 
 def test_a_table_that_is_cut_gives_a_plan_without_a_bound(graph):
-    instance = random_instance(4, 6, seed=3)
-    cut = RoutingSettings(
-        columns=ColumnSettings(most_labels=600)
-    )  # 200 of them without limits
+    shape = InstanceShape(route_length_limit=60.0)
+    instance = random_instance(4, 6, seed=3, shape=shape)
+    cut = RoutingSettings(columns=ColumnSettings(most_labels=200))
     for method in PLANNING_METHODS:
         solution = solve_in_loop(instance, graph("ring", 4), method, cut)
         assert (solution.feasible, solution.lower_bound, solution.bound_exact) == (
