@@ -40,7 +40,7 @@ test: $(VENV)/.installed-test compile  ## all tests but the campaigns, with ruff
 	@mkdir -p out
 	@echo "What runs in real time is shown here; what only computes runs beside it, and is shown afterwards."
 	@$(IDLE) $(BIN)/python -m pytest -n auto --dist loadfile -m "not (slow or real_time)" \
-		-o cache_dir=.pytest_cache/computing >out/computing.txt 2>&1 & beside=$$!; trap 'kill $$beside; exit 130' INT TERM; \
+		-o cache_dir=.pytest_cache/computing --durations=40 >out/computing.txt 2>&1 & beside=$$!; trap 'kill $$beside; exit 130' INT TERM; \
 	$(BIN)/python -m pytest -v --durations=12 -m "real_time and not slow"; real_time=$$?; \
 	wait $$beside; computing=$$?; cat out/computing.txt; exit $$((real_time | computing))
 
