@@ -68,9 +68,11 @@ def require_ready(
     require_flyable_features(problem, where, OBEYED_FEATURES, allowed)
     _require_homes(config, problem)
     _require_graph(config)
-    PickupDelivery(
-        problem.local(0), [], problem.robots, 1, {}, method
-    )  # raises ConfigError if the method does not fit
+    for (
+        robot,
+        *_,
+    ) in problem.kinds():  # raises ConfigError if the method does not fit one
+        PickupDelivery(problem.local(robot), [], problem.robots, 1, {}, method)
     _require_places(config, problem, where)
     _require_ends(config, problem, where)
 

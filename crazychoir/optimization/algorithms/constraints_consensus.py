@@ -33,9 +33,11 @@ class ConstraintTolerances:
     It is relative to the row's own terms, |a|'|x| + |b|, and to 1 + |b|.
     """
     negligible_miss: float = 1e-12
-    """In the units of x: a row that is missed by less counts as met, whatever its terms are."""
+    """In the units of z: a row that is missed by less counts as met, whatever its terms are."""
+    least_share: float = 1e-9
+    """A curvature or slope below this share of the largest one does not choose the unit of its entry."""
     tie_break_weight: float = 1e-5
-    """Weight of the tie-break 1/2 |x|^2 beside a linear objective of length one."""
+    """Weight of the tie-break 1/2 |z|^2 beside a linear objective of length one."""
     gradient: float = 1e-8
     """Largest part of a gradient entry without multipliers, relative to the entry's own terms.
     """
@@ -191,7 +193,7 @@ class ConstraintsConsensus(Iteration):
             k = int(np.argmax(np.abs(self._z)))
             found = (
                 f"x[{k}] = {self.x[k]:.6g} is held by the tie-break "
-                f"{CONSTRAINT_TOLERANCES.tie_break_weight:g} |x|^2 / 2, not by constraints"
+                f"{CONSTRAINT_TOLERANCES.tie_break_weight:g} |z|^2 / 2, not by constraints"
             )
             do = "the optimum is farther away, or there is none; bound x, take larger units, or DualDistributedSimplex"
             raise SolverError(
@@ -294,12 +296,18 @@ def _normalise(rows: Mat) -> Mat:
 def _choose_units(problem: CommonCost) -> Vec:
     """Return the units (n,) of x in which each entry counts alike in f: powers of two.
 
-    In them a curvature, or else a slope, is 1 to 4. An entry that is not in f keeps its unit.
+    In them a curvature, or else a slope, is 1 to 4. An entry that is not in f keeps its unit; a number
+    of f that is tiny beside the largest one is a rounded zero.
     """
-    curvature = np.diag(problem.cost.P)
-    slope = np.abs(problem.cost.q)
-    size = np.where(curvature > 0.0, np.sqrt(np.abs(curvature)), slope)
+    curvature = _drop_rounded_zeros(np.abs(np.diag(problem.cost.P)))
+    slope = _drop_rounded_zeros(np.abs(problem.cost.q))
+    size = np.where(curvature > 0.0, np.sqrt(curvature), slope)
     return 1.0 / _floor_to_power_of_two(np.where(size > 0.0, size, 1.0))
+
+
+def _drop_rounded_zeros(sizes: Vec) -> Vec:
+    least = CONSTRAINT_TOLERANCES.least_share * sizes.max(initial=0.0)
+    return np.where(sizes > least, sizes, 0.0)
 
 
 def _floor_to_power_of_two(size: Vec) -> Vec:

@@ -55,8 +55,7 @@ class MixedIntegerSolution:
     left: Vec
     """(S,) what is left of the resources.
 
-    It is negative by no more than MILP_TOLERANCE (min(1, a) + |b|), with the largest number a of the
-    resource.
+    It is negative by no more than MILP_TOLERANCE times the largest number of a resource, in all.
     """
     lower_bound: float
     """Lower bound of the cost of all solutions.
@@ -149,7 +148,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
             )
             found = yield from self._attempt(sigma, restricted=True)
         if found is None:
-            s = int(np.argmax(self._excess))
+            s = int(np.argmax(self._excess * self._scale))
             found_none = f"infeasible, as far as was found: resource {s} exceeded by {self._excess[s]:.6g}"
             raise SolverError(
                 self._where, f"{found_none}; more rounds or a larger penalty may help"
@@ -201,9 +200,7 @@ class PrimalDecompositionMILP(Program[MixedIntegerSolution]):
         search = OptionsSearch(self._where, options, pool, self.diameter)
         choice, bound = yield from search.run()
         self._excess = -choice.left
-        # A size above 1 counts as 1.
-        size = np.minimum(1.0, 1.0 / self._scale)
-        if (self._excess > MILP_TOLERANCE * (size + np.abs(self._capacity))).any():
+        if choice.excess > MILP_TOLERANCE:
             return None
         return MixedIntegerSolution(
             options.mix(choice.mixtures[self._members.index(self._i)]),

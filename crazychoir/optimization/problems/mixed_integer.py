@@ -20,7 +20,7 @@ from crazychoir.optimization.rounds.arrays import copy_matrix, copy_vector
 from crazychoir.types import Mat, Vec
 
 MILP_TOLERANCE = 1e-6
-"""Tolerance of a solution of the team: a resource may be exceeded by this part of itself."""
+"""Tolerance of a solution of the team: a resource may be exceeded by this part of its largest number."""
 LOCAL_TOLERANCE = 1e-9
 """Tolerance of one agent's solution, relative to 1 + |bound|: a thousand agents may add up theirs."""
 

@@ -12,8 +12,12 @@ import highspy
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.problems.linear import make_quiet_highs
-from crazychoir.optimization.problems.mixed_integer import BoxBounds, MixedIntegerBlock
+from crazychoir.optimization.problems.linear import demand_tolerance, make_quiet_highs
+from crazychoir.optimization.problems.mixed_integer import (
+    LOCAL_TOLERANCE,
+    BoxBounds,
+    MixedIntegerBlock,
+)
 from crazychoir.types import Vec
 
 Mixture = list[list[Any]]
@@ -168,7 +172,8 @@ class OptionsPool:
             highspy.SolutionStatus.kSolutionStatusFeasible
         ):
             return None
-        choice = self._read(np.array(highs.getSolution().col_value)[:count])
+        weights = np.array(highs.getSolution().col_value)[:count]
+        choice = self._read(self._keep_patterns(weights))
         return [[choice.excess, choice.cost], searcher, choice.mixtures]
 
     def value(self, mixtures: list[Mixture]) -> TeamChoice:
@@ -182,6 +187,18 @@ class OptionsPool:
         cost = math.fsum(row[0] for row in rows)
         excess = math.fsum(np.maximum(-left * self._scale, 0.0))
         return TeamChoice(mixtures, cost, left, excess)
+
+    def _keep_patterns(self, weights: Vec) -> Vec:
+        """Return the weights of all options without those of other patterns than each agent's heaviest."""
+        kept = weights.copy()
+        at = 0
+        for table in self._tables.values():
+            patterns = np.array([row[0] for row in table], int)
+            own = kept[at : at + len(table)]
+            heaviest = np.argmax(np.bincount(patterns, own))
+            own[patterns != heaviest] = 0.0
+            at += len(table)
+        return kept
 
     def _read(self, weights: Vec) -> TeamChoice:
         """Return the choice with the given weights of all options."""
@@ -213,6 +230,7 @@ class OptionsPool:
         Its columns are the options, then v. Options that are not allowed are 0.
         """
         highs = make_quiet_highs(seed)
+        demand_tolerance(highs, LOCAL_TOLERANCE)
         S = len(self.capacity)
         none = np.array([], np.int32)
         for most in self.capacity * self._scale:

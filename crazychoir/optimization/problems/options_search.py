@@ -153,18 +153,21 @@ class OptionsSearch:
             corner, proven = block.least(block.c + pi @ block.A, box)
             if corner is not None:
                 self._options.add(corner)
+            # All agents take the mixture of one: at other processors a tie may be broken otherwise.
+            word = mixture.mixtures if self._position == 0 else None
             told = yield from self._exchange(
-                [pi.tolist(), proven, self._options.within(box)]
+                [pi.tolist(), proven, self._options.within(box), word]
             )
-            if all(theirs == pi.tolist() for theirs, _, _ in told.values()):
-                terms = [value for _, value, _ in told.values()]
+            mixture = self._pool.value(told[self._pool.agents[0]][3])
+            if all(theirs == pi.tolist() for theirs, *_ in told.values()):
+                terms = [value for _, value, _, _ in told.values()]
                 least = math.fsum([*terms, *(-pi * self._pool.capacity)])
                 if least > bound:
                     bound = least
                     at = pi
             if not self._is_any_fresh:
                 break
-            allowed = {j: usable for j, (_, _, usable) in told.items()}
+            allowed = {j: usable for j, (_, _, usable, _) in told.items()}
         return PricedMixture(bound, at, mixture)
 
     def _choose(self, start: TeamChoice | None) -> Exchange[TeamChoice]:

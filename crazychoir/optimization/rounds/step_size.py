@@ -13,6 +13,12 @@ from crazychoir.types import Vec
 StepSize = Callable[[int], float]
 GROWTH_LIMIT: Final = 1e12
 """Iterates may become this many times as large as the first ones that are not 0."""
+LARGE_ITERATE: Final = 1e9
+"""Iterates below this have not grown too much, however small the first ones were."""
+LARGEST_ITERATE: Final = 1e100
+"""Iterates above this overflow soon."""
+GROWING_LOOKS: Final = 8
+"""Looks in a row from each of which to the next the iterates have doubled."""
 ROUNDS_PER_LOOK: Final = 8
 """Rounds from one look at the size of the iterates to the next."""
 
@@ -80,8 +86,11 @@ def _require_positive(what: str, a: float) -> None:
 class GrowthWatch:
     """Ends an algorithm with iterates that grow without end, because its step is too large.
 
-    A step a_k that is too large multiplies the distance to the optimum in each round. The iterates have
-    grown too much when they are GROWTH_LIMIT times as large as the first ones that are not 0.
+    A step a_k that is too large multiplies the iterates in each round, for ever. They have grown too
+    much when they are GROWTH_LIMIT times as large as the first ones that are not 0, and above
+    LARGE_ITERATE, and have doubled from look to look GROWING_LOOKS times; or when they are near the
+    largest numbers there are. So iterates may start from next to nothing, as those of an agent far from
+    all data, and may settle at a far optimum.
 
     where: the agent, the start of an error text
     step: a_k
@@ -93,6 +102,8 @@ class GrowthWatch:
         self._step = step
         self._bound = bound
         self._first = 0.0
+        self._last = 0.0
+        self._growing = 0
 
     def __call__(self, k: int, x: Vec) -> None:
         """Raise ConfigError that names the step, if x has grown too much; x may have any shape.
@@ -102,14 +113,18 @@ class GrowthWatch:
         if k % ROUNDS_PER_LOOK:
             return
         size = float(np.abs(x).max(initial=0.0))
-        if size <= GROWTH_LIMIT * self._first:
-            return
-        if self._first == 0.0 and math.isfinite(size):
-            self._first = size
-            return
-        raise ConfigError(
-            f"{self._where}: step {self._step(k):g}, round {k}",
-            f"iterates that have grown from {self._first:.3g} to {size:.3g}",
-            self._bound,
-            "Take a smaller step.",
+        self._first = self._first or size
+        self._growing = self._growing + 1 if size >= 2.0 * self._last else 0
+        self._last = size
+        has_grown = (
+            self._growing >= GROWING_LOOKS
+            and size > GROWTH_LIMIT * self._first
+            and size > LARGE_ITERATE
         )
+        if has_grown or not size < LARGEST_ITERATE:
+            raise ConfigError(
+                f"{self._where}: step {self._step(k):g}, round {k}",
+                f"iterates that have grown from {self._first:.3g} to {size:.3g}",
+                self._bound,
+                "Take a smaller step.",
+            )

@@ -69,7 +69,7 @@ class Neighbors:
         goes to the cluster of the robot that would serve it alone at the least cost.
 
         routes: the present routes.
-        most: robots and tasks in a cluster, at most.
+        most: robots and tasks in a cluster, at most; the tasks of the two longest routes fit in any case.
         leaders: leaders of each cluster, at most.
         seed: the same seed gives the same clusters at all robots.
         """

@@ -31,22 +31,27 @@ def explain_missing_tasks(
     """
     everybody = Cluster(order.robots, order.tasks, ())
     m = len(order.tasks)
+
+    def count_missing(problems: Mapping[int, LocalProblem]) -> int:
+        routes = reoptimize_cluster(problems, {}, everybody, left_out, steps, 0)
+        return len(list_unserved_tasks(routes, m))
+
+    present = count_missing(robots)
     found: list[tuple[int, str]] = []
     for name, drop in CONSTRAINT_RELAXATIONS.items():
         relaxed = {i: drop(robot) for i, robot in robots.items()}
         if all(relaxed[i] is robots[i] for i in robots):
             continue
-        routes = reoptimize_cluster(relaxed, {}, everybody, left_out, steps, 0)
-        found.append((len(list_unserved_tasks(routes, m)), name))
-    if not found:
-        return ""
-    missing, name = min(found, key=_count_missing)
+        found.append((count_missing(relaxed), name))
+    missing, name = min(found, key=_get_count, default=(present, ""))
+    if missing >= present:
+        return "no constraint alone is the cause"
     if missing:
         return f"without {name}, the constraint that matters most, {missing} would be left out"
     return f"without {name} all could be served"
 
 
-def _count_missing(entry: tuple[int, str]) -> int:
+def _get_count(entry: tuple[int, str]) -> int:
     return entry[0]
 
 

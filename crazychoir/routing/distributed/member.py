@@ -66,7 +66,7 @@ class SearchSettings:
     first_steps: int = 1_000
     """Search steps of each starter."""
     cluster: tuple[int, int] = (25, 60)
-    """Largest number of robots and of tasks in a cluster."""
+    """Largest number of robots and of tasks in a cluster; the two longest routes fit in any case."""
     leaders: int = 3
     """Leaders of each cluster."""
     steps: int = 220_000

@@ -569,7 +569,7 @@ TOO_LARGE_STEPS = {
 def test_step_that_is_too_large_is_named_with_the_bound_that_holds_for_it(name):
     said = refused(team(GRAPH, TOO_LARGE_STEPS[name]), GRAPH, loss=0.2)
     assert re.search(
-        r"agent \d: step 50, round (8|16|24): found iterates that have grown from .* to .*; "
+        r"agent \d: step 50, round \d+: found iterates that have grown from .* to .*; "
         r"allowed: .* L.*\. Take a smaller step\.",
         said,
     )
@@ -586,6 +586,19 @@ def test_gradient_that_overflows_at_a_grown_x_says_so():
         )
     assert "gradient, round" in said
     assert "at an x that has grown to" in said
+
+
+def test_iterates_far_from_all_data_may_begin_next_to_nothing():
+    """Agent 0 alone has data. At the other end of the path the first values are below 1e-20."""
+    graph = path(48)
+
+    def make(i, weights):
+        gradient = (lambda x: x - 1e10) if i == 0 else np.zeros_like
+        return GradientTracking(i, np.zeros(2), weights, gradient, 0.01, rounds=400)
+
+    agents = team(graph, make)
+    simulate(agents, graph)
+    assert agents[47].x[0] > 0.0
 
 
 def test_iterates_may_grow_from_zero_to_a_far_optimum():

@@ -314,3 +314,15 @@ def test_a_linear_program_with_rows_of_any_units_is_solved_or_refused():
                 optimum(parts), rel=1e-6, abs=1e-6
             )
     assert solved >= 6
+
+
+def test_rounded_zero_in_the_objective_hides_no_row():
+    x = cp.Variable(2)
+    objective = x[0] + (0.1 + 0.2 - 0.3) * x[1]
+    rows = [[x[0] + x[1] >= 1.0], [x[0] >= 0.0], [x[1] >= 0.0, x[1] <= 0.5]]
+    team = {
+        i: ConstraintsConsensus(CommonCost(i, x, objective, own), 1)
+        for i, own in enumerate(rows)
+    }
+    run_in_step(team, complete(3))
+    np.testing.assert_allclose(team[0].x, [0.5, 0.5], atol=1e-9)

@@ -141,7 +141,7 @@ def test_the_simulator_as_it_is_cannot_follow_a_real_flight(real):
     ("parameters", "source", "position", "attitude"),
     [
         (PHYSICAL_PARAMETERS, TrimSource.LAST, 65.0, 12.5),
-        (FITTED_PARAMETERS, TrimSource.LAST, 50.0, 7.0),
+        (FITTED_PARAMETERS, TrimSource.LAST, 45.0, 6.2),
         (FITTED_PARAMETERS, TrimSource.FIRST, 60.0, 7.0),
     ],
 )
