@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from crazychoir.numerics.compiling import KERNEL_QUEUE
 
 if TYPE_CHECKING:
-    from crazychoir.api.connect import connect, connect_async, launch
+    from crazychoir.api.connecting import connect, connect_async, launch
     from crazychoir.api.flights import Flight, fly, read
     from crazychoir.api.running.async_swarm import AsyncSwarm
     from crazychoir.api.running.receipts import OrderFailed
@@ -37,7 +37,7 @@ __all__ = [
 ]
 """The public names."""
 _MODULE_OF = {
-    **dict.fromkeys(("connect", "connect_async", "launch"), "connect"),
+    **dict.fromkeys(("connect", "connect_async", "launch"), "connecting"),
     "AsyncSwarm": "running.async_swarm",
     "OrderFailed": "running.receipts",
     "RunningSwarm": "running.running_swarm",

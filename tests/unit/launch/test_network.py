@@ -300,7 +300,7 @@ def test_run_flies_at_the_base_port_of_its_file(tmp_path, monkeypatch):
         pass
     file = tmp_path / "lab.json"
     file.write_text(default_swarm(2).replace(base_port=base, mission="figure").dumps())
-    monkeypatch.setattr("crazychoir.launch.flight.fly_real", fly_real)
+    monkeypatch.setattr("crazychoir.api.flying.fly_real", fly_real)
     monkeypatch.setenv("CRAZYCHOIR_RUNTIME_DIR", str(tmp_path / "crazychoir"))
     said = CliRunner().invoke(app, ["run", str(file), "--json"])
     assert said.exit_code == 2

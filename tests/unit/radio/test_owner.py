@@ -87,6 +87,7 @@ async def test_an_owner_refuses_a_dongle_that_lacks_the_promised_inline_mode(
             patch.setattr(
                 PROCESS_DONGLES, "is_inline", lambda uri, found=is_inline: found
             )
+            patch.setattr(PROCESS_DONGLES, "failure", lambda uri: "")
             owner._look_at_dongle(1.0)
         assert says in owner.failure
         assert bool(owner.failure) is bool(says)

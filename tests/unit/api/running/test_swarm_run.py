@@ -3,7 +3,7 @@
 import pytest
 
 from crazychoir.agents import operator as mission
-from crazychoir.api.connect import launch
+from crazychoir.api.connecting import launch
 from crazychoir.api.running.swarm_run import with_virtual_bodies
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission import check_before_flight, load_mission
