@@ -121,12 +121,17 @@ class Steering:
         self._require_steerable()
         require_feasible(flown, pilot)
         turn = self._turn()
+        pilot.permission.may_fly(
+            by_operator=True
+        )  # from here on, a hold ends the flight
         if on_board is not None:
             await self._upload(path)
+            self._require_turn(turn)
         start = flown.sample(0.0)
         await self._reach(start.p, start.yaw, 0.0, turn)
         if on_board is not None:
             await self._start_on_board(flown, on_board, asked.relative)
+            self._require_turn(turn)
         return await self._follow(flown, turn)
 
     async def _follow(self, path: Piecewise, turn: int) -> str:
@@ -250,8 +255,12 @@ class Steering:
         )
 
     async def _look(self, turn: int) -> None:
-        """Wait for STEERING_INTERVAL s. Raises Refused when the drone does not fly for this command any more."""
+        """Wait for STEERING_INTERVAL s, then do as `_require_turn`."""
         await self.drone.pilot.clock.sleep(STEERING_INTERVAL, drone=self.drone.id)
+        self._require_turn(turn)
+
+    def _require_turn(self, turn: int) -> None:
+        """Raise Refused when the drone does not fly for this command any more."""
         if turn != self._count:
             self._refuse("it does what was commanded later")
         self._require_cleared()

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from operators import play_scene
 
+from crazychoir.agent import steering
 from crazychoir.agent.command_arguments import path_message
 from crazychoir.agents import operator as mission
 from crazychoir.bus.commands import ANSWER_TEXTS
@@ -156,6 +157,36 @@ def test_path_is_flown_from_here_slower_and_from_its_end():
         kind, why = await operator.order("fly", 0, **path_message(path))
         assert kind == REFUSED
         assert "outside the fence" in why
+        await operator.order("land", 0)
+
+    fly(scene)
+
+
+class SlowFirmware:
+    """A link to a firmware that takes 2 s for the request of this verb."""
+
+    def __init__(self, clock, verb):
+        self.clock = clock
+        self.verb = verb
+
+    async def request(self, verb, seconds, **arguments):
+        if verb == self.verb:
+            await self.clock.sleep(2.0)
+
+
+@pytest.mark.parametrize("verb", ["trajectory_upload", "trajectory_start"])
+def test_hold_ends_a_flight_that_waits_for_the_firmware(monkeypatch, verb):
+    path = fit_spline([0.0, 3.0, 6.0], [[0, 0, 0], [0.5, 0.3, 0], [1.0, 0, 0]])
+    told = path_message(path, relative=True, on_board={})
+
+    async def scene(operator):
+        firmware = SlowFirmware(operator.clock, verb)
+        monkeypatch.setattr(steering, "require_firmware", lambda drone: firmware)
+        await operator.order("take-off", 0, height=0.5)
+        flying = operator.begin("fly", 0, **told)
+        await operator.clock.sleep(1.5)
+        assert await operator.order("hold", 0) == (DONE, "held")
+        assert await flying == (REFUSED, "it was held on its way")
         await operator.order("land", 0)
 
     fly(scene)
