@@ -18,8 +18,9 @@ HOLDING_TIME = 1e-3
 class _Place:
     """The place of a link in the queue."""
 
-    def __init__(self, link: object, lock: threading.Lock) -> None:
+    def __init__(self, link: object, lock: threading.Lock, first: bool) -> None:
         self.link = link
+        self.first = first
         self.called = threading.Condition(lock)
 
 
@@ -46,7 +47,7 @@ class DongleTurns:
         first: True to go before all links that wait, and before the end of a visit
         """
         with self._lock:
-            place = _Place(link, self._lock)
+            place = _Place(link, self._lock, first)
             if first:
                 self._held = False
                 self._waiting.appendleft(place)
@@ -85,10 +86,13 @@ class DongleTurns:
     def hold(self, link: object) -> None:
         """Keep the dongle for this link, which has it, until its next packet.
 
-        The next link waits for it for HOLDING_TIME at most.
+        The next link waits for it for HOLDING_TIME at most. The dongle is not kept while a link waits
+        that goes first.
         """
         with self._lock:
-            self._held = link is self._visited and self._visit < self.longest_visit
+            is_urgent = bool(self._waiting) and self._waiting[0].first
+            may_go_on = self._visit < self.longest_visit and not is_urgent
+            self._held = link is self._visited and may_go_on
 
     def is_visiting(self, link: object) -> bool:
         """Return whether the dongle is kept for this link."""

@@ -94,3 +94,14 @@ def test_what_is_urgent_goes_first_and_ends_a_visit():
     assert order[0] == "c"
     threads[0].join(2.0)
     assert order == ["c", "b"]
+
+
+def test_a_visit_is_not_held_on_while_something_urgent_waits():
+    taken, order = DongleTurns(), []
+    with taken.take("a"):
+        threads = queue_up(taken, order, "bc", first="c")
+        taken.hold("a")
+    threads[1].join(2.0)
+    assert order[:1] == ["c"]
+    threads[0].join(2.0)
+    assert order == ["c", "b"]
