@@ -119,25 +119,38 @@ def check_radios(swarm: Swarm, where: str) -> None:
 
 
 def _check_numbers(swarm: Swarm, where: str) -> None:
-    """Raise ConfigError for two drones that would take each other's pose out of a broadcast."""
-    if swarm.radio.broadcast is False:
-        return
-    seen = set(camera_drones(swarm))
-    first: dict[tuple[object, ...], int] = {}
+    """Raise ConfigError for two drones if one would take the pose of the other out of a broadcast.
+
+    Every drone of a channel hears a broadcast: also a drone of another dongle, and a drone that
+    estimates its own pose.
+    """
+    told = _broadcast_drones(swarm)
+    alike: dict[tuple[object, ...], list[int]] = {}
     for n, drone in enumerate(swarm.drones):
-        if drone.id not in seen or not drone.uri.startswith(RADIO_SCHEME):
+        if not drone.uri.startswith(RADIO_SCHEME):
             continue  # by UDP a drone is sent the packets of its own dongle only
         number = address_number(drone)
-        key = (*radio_settings(drone), number)
-        if key in first:
+        others = alike.setdefault((*radio_settings(drone), number), [])
+        for other in others:
+            if told.isdisjoint((drone.id, swarm.drones[other].id)):
+                continue
             raise ConfigError(
                 f"{where}: drones[{n}].uri",
                 show_value(drone.uri),
                 "on each channel, addresses with different last bytes",
                 "Give it another address, or set broadcast = false in [radio].",
-                f"drones[{first[key]}] has the last byte {number:02X}, too, and would take this drone's pose",
+                f"drones[{other}] has the last byte {number:02X}, too: one would take the other's pose",
             )
-        first[key] = n
+        others.append(n)
+
+
+def _broadcast_drones(swarm: Swarm) -> set[int]:
+    """Return the drones with poses that may be broadcast: a dongle broadcasts two poses or more."""
+    if swarm.radio.broadcast is False:
+        return set()
+    seen = set(camera_drones(swarm))
+    of_dongles = [seen.intersection(ids) for ids in drones_by_dongle(swarm).values()]
+    return set().union(*(ids for ids in of_dongles if len(ids) > 1))
 
 
 def _parameters(table: Mapping[str, object], where: str) -> None:

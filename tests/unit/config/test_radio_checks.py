@@ -150,13 +150,43 @@ def test_two_drones_of_a_channel_may_not_end_alike_if_their_poses_are_broadcast(
     with pytest.raises(ConfigError) as caught:
         swarm(*uris)
     assert (
-        "drones[0] has the last byte 03, too, and would take this drone's pose"
+        "drones[0] has the last byte 03, too: one would take the other's pose"
         in str(caught.value)
     )
     assert "set broadcast = false in [radio]" in str(caught.value)
     assert swarm(*uris, head="[radio]\nbroadcast = false").topology.reached == (0, 1)
     other = swarm(uris[0], "radio://0/82/2M/E7E7E7E803")
     assert other.topology.reached == (0, 1), "another channel"
+
+
+SEEN_URIS = (
+    "radio://0/80/2M/E7E7E7E703",
+    "radio://0/80/2M/E7E7E7E704",
+)
+
+
+def with_own_pose(uri: str, *seen: str) -> SwarmConfig:
+    """Return a swarm of drones seen by cameras, and one that estimates its own pose."""
+    rows = [
+        f'[[drones]]\nid = {i}\nhome = [{i}, 0, 0]\nuri = "{other}"\n'
+        for i, other in enumerate(seen)
+    ]
+    own = f'[[drones]]\nid = 9\nhome = [3, 0, 0]\nuri = "{uri}"\npose = "onboard"\n'
+    head = 'name = "lab"\n[radio]\nlog_rate = 50.0\n'
+    return SwarmConfig.loads(head + own + "".join(rows), "lab.toml")
+
+
+@pytest.mark.parametrize("dongle", [0, 1])
+def test_a_drone_with_its_own_pose_may_not_end_like_one_with_a_broadcast_pose(
+    dongle: int,
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        with_own_pose(f"radio://{dongle}/80/2M/E7E7E7E803", *SEEN_URIS)
+    assert "drones[0] has the last byte 03, too" in str(caught.value)
+    other = with_own_pose(f"radio://{dongle}/80/2M/E7E7E7E805", *SEEN_URIS)
+    assert other.topology.seen == (0, 1), "another last byte"
+    alone = with_own_pose(f"radio://{dongle}/80/2M/E7E7E7E803", SEEN_URIS[0])
+    assert alone.topology.seen == (0,), "a single pose is not broadcast"
 
 
 def test_a_drone_with_a_radio_is_sent_angles_unless_the_file_says_otherwise() -> None:
