@@ -23,6 +23,8 @@ Seconds = Annotated[float, Meta(ge=0.0, le=600.0)]
 """s."""
 Slowdown = Annotated[float, Meta(ge=0.01, le=100.0)]
 """Factor on a duration."""
+LONGEST_VELOCITY = 10.0
+"""s: longest `duration` of a velocity. A drone flies no longer for a script that has ended."""
 A = TypeVar("A", bound="CommandArguments")
 
 
@@ -70,8 +72,11 @@ class OperatorVelocity(CommandArguments, frozen=True):
     """(3,) m/s, world."""
     yaw_rate: Angle = 0.0
     """rad/s."""
-    duration: Annotated[float, Meta(gt=0.0, le=600.0)] = 1.0
-    """s after which the drone comes to rest, unless a newer command comes before."""
+    duration: Annotated[float, Meta(gt=0.0, le=LONGEST_VELOCITY)] = 1.0
+    """s after which the drone comes to rest, unless a newer command comes before.
+
+    At most LONGEST_VELOCITY: a script renews the command for a longer flight.
+    """
 
 
 class OnBoardFlight(CommandArguments, frozen=True):

@@ -228,7 +228,7 @@ class AsyncDrones:
 
         v: (3,) m/s, world
         yaw_rate: rad/s
-        duration: s
+        duration: s, at most 10; a script renews the command for a longer flight
         """
         told = {"v": [float(x) for x in v], "yaw_rate": yaw_rate, "duration": duration}
         await self._give("velocity", told, duration, wait)

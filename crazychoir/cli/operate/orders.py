@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
+from crazychoir.agent.command_arguments import LONGEST_VELOCITY
 from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_operator
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError
@@ -123,7 +124,10 @@ def velocity(
     v: Annotated[str, typer.Argument(help="Velocity, as 0.3,0,0 (m/s).")],
     drones: Annotated[str, typer.Option("--drones", help="Which, as 3,5-7.")],
     duration: Annotated[
-        float, options.seconds("s, after which they stop.", open_below=True)
+        float,
+        options.seconds(
+            "s, after which they stop.", open_below=True, most=LONGEST_VELOCITY
+        ),
     ] = 1.0,
     yaw_rate: Annotated[
         float, options.real("Yaw rate in rad/s.", least=-7.0, most=7.0)
