@@ -73,19 +73,23 @@ class FakeDongle:
     """One, as pyusb's device.
 
     drones: by (channel, address), as (80, "E7E7E7E701");  exchanges: so many a second;  used: exchanges so far;
-    change: s that it takes to be told another setting;  inline: whether it takes them with each packet.
+    change: s that it takes to be told another setting;  inline: whether it takes them with each packet;
+    late: so many answers miss the read that waits for them.
     """
 
     serial_number = "FAKE"
 
-    def __init__(self, drones, exchanges=250.0, seed=0, change=0.0, inline=False):
+    def __init__(
+        self, drones, exchanges=250.0, seed=0, change=0.0, inline=False, late=0
+    ):
         self.drones, self.exchanges, self.used, self.there = drones, exchanges, 0, True
         self.change, self.inline, self.changes, self.broadcasts = change, inline, 0, 0
         self.bcdDevice = 0x0510 if inline else 0x0055
         self._ctx = SimpleNamespace(dispose=lambda device: None)
         self._channel, self._address, self._acks, self._told = 2, b"", True, False
-        self._draw, self._free, self._answer = random.Random(seed), 0.0, b""  # noqa: S311 - of losses
+        self._draw, self._free, self._answers = random.Random(seed), 0.0, deque()  # noqa: S311 - of losses
         self._users = threading.Lock()
+        self.late = late
 
     def _require(self):
         if not self.there:
@@ -142,8 +146,11 @@ class FakeDongle:
         else:
             self._spread(data)
             answer = b"\0"
-        self._answer = bytes([1 + len(answer)]) + answer if self._told else answer
-        if not (self._acks or self._told):
+        if self._acks or self._told:
+            self._answers.append(
+                bytes([1 + len(answer)]) + answer if self._told else answer
+            )
+        else:
             self._users.release()  # it has no answer
 
     def _spread(self, packet):
@@ -166,6 +173,11 @@ class FakeDongle:
         return b"\x00" if self._draw.random() < drone.loss else b"\x01" + back
 
     def read(self, endpoint, length, timeout):
-        self._users.release()
+        if self._users.locked():
+            self._users.release()
         self._require()
-        return array("B", self._answer)
+        is_late = self.late > 0
+        self.late -= is_late
+        if is_late or not self._answers:
+            raise usb.core.USBTimeoutError("timed out")
+        return array("B", self._answers.popleft())

@@ -49,6 +49,8 @@ class UsbProtocol:
     """ms for a transfer."""
     probe_timeout: int = 50
     """ms in which a dongle answers a broadcast, if it answers broadcasts."""
+    stale_timeout: int = 1
+    """ms for the read of an answer that is late, and of no use any more."""
 
 
 USB_PROTOCOL = UsbProtocol()
@@ -78,6 +80,8 @@ class DongleRadio:
         self._radio = radiodriver.Crazyradio(devid=number)
         self.version: float = self._radio.version
         self._answers_broadcasts = False
+        self._has_stale_answers = False
+        """Whether a read has failed: the dongle may still give its answer to the next read."""
         self.is_inline = self._begin_inline()
         """Whether the dongle takes its settings with each packet."""
 
@@ -123,9 +127,22 @@ class DongleRadio:
         )
 
     def _read(self, timeout: int) -> Any:
-        return self._radio.handle.read(
-            USB_PROTOCOL.endpoint_in, USB_PROTOCOL.answer_size, timeout=timeout
-        )
+        try:
+            return self._radio.handle.read(
+                USB_PROTOCOL.endpoint_in, USB_PROTOCOL.answer_size, timeout=timeout
+            )
+        except UsbError:
+            self._has_stale_answers = True
+            raise
+
+    def _drop_stale_answers(self) -> None:
+        """Read the answers to earlier packets, so that none is taken for the next packet's."""
+        if not self._has_stale_answers:
+            return
+        with contextlib.suppress(UsbError):
+            while True:
+                self._read(USB_PROTOCOL.stale_timeout)
+        self._has_stale_answers = False
 
     def _write_inline(
         self, channel: int, address: bytes, rate: int, data: bytes, ack: int
@@ -141,6 +158,7 @@ class DongleRadio:
                 channel,
             ]
         )
+        self._drop_stale_answers()
         self._write(settings + address + data)
 
     def exchange(

@@ -90,8 +90,9 @@ def test_a_dongle_that_does_not_answer_broadcasts_is_not_waited_for(plug, monkey
 
     def silent(self, endpoint, length, timeout):
         if not self._acks:
-            self._users.release()
-            reads.append(timeout)
+            if self._users.locked():
+                self._users.release()
+                reads.append(timeout)
             raise usb.core.USBTimeoutError("timed out")
         return read(self, endpoint, length, timeout)
 
@@ -103,6 +104,21 @@ def test_a_dongle_that_does_not_answer_broadcasts_is_not_waited_for(plug, monkey
     )
     radio.broadcast(80, RATE, [TEXT, TEXT])
     assert len(reads) == 1, "when it was opened"
+
+
+def test_a_late_answer_is_not_taken_for_the_one_to_the_next_packet(plug):
+    radio, dongle = plug(inline=True)
+    exchange(radio, 1)
+    dongle.late = 1
+    assert exchange(radio, 1) is None
+    assert not exchange(radio, 3).ack, "no drone is there"
+    assert exchange(radio, 2).ack
+
+
+def test_a_late_answer_to_the_first_broadcast_is_not_taken_for_a_drones(plug):
+    radio, _ = plug(inline=True, late=1)
+    assert radio.is_inline
+    assert exchange(radio, 1).ack
 
 
 def test_an_older_dongle_is_not_asked_for_the_inline_mode(plug):
