@@ -13,6 +13,8 @@ from crazychoir.numerics.kernels import Records
 from crazychoir.numerics.math3d import is_finite
 from crazychoir.types import Command, Reference, State, Vec
 
+LINE_LATENESS = 0.05
+"""s: delay of a command, of the planner's tick, and of the drone behind its set-points."""
 NEW_FLIGHT_GAP = 1.0
 """Seconds without a line after which the next line begins another flight."""
 FIRMWARE_LEARNING_RATES = np.array([0.5, 1.0]) / (
@@ -94,6 +96,40 @@ class LearntIntegrals:
         return climb - float(self._learnt[0]), turn - float(self._learnt[1])
 
 
+class SetPointLead:
+    """Moves references ahead, so that a drone flies them that is behind its set-points.
+
+    The equations are those of WaypointController. It learns as the firmware does, from one call to
+    the next.
+    """
+
+    def __init__(self) -> None:
+        self._learnt = LearntIntegrals()
+
+    def apply(self, reference: Vec, t: float, now: float) -> Vec | None:
+        """Return the set-point (14,) for a reference; None for a reference that is not finite.
+
+        reference: (14,), as FullState.flat
+        t: s by which the set-point is later than the reference
+        now: s
+        """
+        if not is_finite(reference):
+            return None
+        a = reference[6:9]
+        rate = float(reference[13])
+        out = reference.copy()
+        out[3:6] += t * a
+        v = out[3:6]
+        climb, turn = self._learnt.missing(float(v[2]), rate, now)
+        out[0:3] += t * v - 0.5 * t * t * a
+        out[0:2] += (
+            v[0:2] + a[0:2] / FIRMWARE_GAINS.velocity
+        ) / FIRMWARE_GAINS.position
+        out[2] += climb / FIRMWARE_GAINS.position
+        out[12] += t * rate + turn / FIRMWARE_GAINS.yaw
+        return out
+
+
 class FullStateController(CrazyflieController):
     """Passes references on to the firmware, which flies them with its PIDs and its own estimate.
 
@@ -111,30 +147,15 @@ class FullStateController(CrazyflieController):
         self,
         command_sender: CommunicationHandler,
         traj_handler: TrajectoryHandler,
-        late: float = 0.05,
+        late: float = LINE_LATENESS,
     ) -> None:
         super().__init__(command_sender, traj_handler)
         self.late = late
-        self._learnt = LearntIntegrals()
+        self._lead = SetPointLead()
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Return the reference (14,), moved ahead."""
-        if not is_finite(reference):
-            return None
-        t = self.late
-        a = reference[6:9]
-        rate = float(reference[13])
-        out = reference.copy()
-        out[3:6] += t * a
-        v = out[3:6]
-        climb, turn = self._learnt.missing(float(v[2]), rate, now)
-        out[0:3] += t * v - 0.5 * t * t * a
-        out[0:2] += (
-            v[0:2] + a[0:2] / FIRMWARE_GAINS.velocity
-        ) / FIRMWARE_GAINS.position
-        out[2] += climb / FIRMWARE_GAINS.position
-        out[12] += t * rate + turn / FIRMWARE_GAINS.yaw
-        return out
+        return self._lead.apply(reference, self.late, now)
 
     def blind(self) -> Vec:
         """Return the last reference again: the firmware needs no state from here."""
@@ -172,7 +193,7 @@ class WaypointController(CrazyflieController):
         traj_handler: TrajectoryHandler,
         every: float = 0.1,
         ahead: float = 0.2,
-        late: float = 0.05,
+        late: float = LINE_LATENESS,
     ) -> None:
         super().__init__(command_sender, traj_handler)
         self.every = every
@@ -180,7 +201,7 @@ class WaypointController(CrazyflieController):
         self.late = late
         self._next = -math.inf
         self._line = np.zeros(5)
-        self._learnt = LearntIntegrals()
+        self._lead = SetPointLead()
 
     def command(
         self, state: State, reference: Reference | None, now: float
@@ -193,22 +214,10 @@ class WaypointController(CrazyflieController):
 
     def law(self, state: State, reference: Vec, now: float) -> Vec | None:
         """Return (5,): place m, yaw rad, duration s."""
-        t = self.ahead + self.late
-        a = reference[6:9]
-        rate = float(reference[13])
-        v = reference[3:6] + t * a
-        line = np.empty(5)
-        line[0:3] = reference[0:3] + t * v - 0.5 * t * t * a
-        line[0:2] += (
-            v[0:2] + a[0:2] / FIRMWARE_GAINS.velocity
-        ) / FIRMWARE_GAINS.position
-        line[3] = reference[12] + t * rate
-        line[4] = self.ahead
-        if not math.isfinite(sum(line.tolist())):
+        end = self._lead.apply(reference, self.ahead + self.late, now)
+        if end is None:
             return None
-        climb, turn = self._learnt.missing(float(v[2]), rate, now)
-        line[2] += climb / FIRMWARE_GAINS.position
-        line[3] += turn / FIRMWARE_GAINS.yaw
+        line = np.array([*end[0:3], end[12], self.ahead])
         self._line = line
         return line
 
