@@ -16,7 +16,7 @@ from crazychoir.radio.drone.own_estimate import OwnEstimate
 from crazychoir.radio.drone.timing import LINK_CHECK_RATE, REPEAT_RULES
 from crazychoir.radio.protocol.handlers import is_idle_command
 from crazychoir.runtime.clock import NS_PER_SECOND
-from crazychoir.types import XYZ, Command
+from crazychoir.types import XYZ, Command, Vec
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,10 @@ class CommandGate:
 
     def send(self, command: Command) -> None:
         """Send a command to the drone: a set-point when the next one is due, a plan at once."""
-        if self._motors.is_cut or self.on_board.covers(command):
+        if self._motors.is_cut:
+            return
+        if self.on_board.covers(command, self._find_position()):
+            self._note_flight()
             return
         if isinstance(command, XYZ) and command.verb == "land":
             self._landing.begin(command)
@@ -87,8 +90,8 @@ class CommandGate:
         self.has_stopped = stops
         if self._landing.command is not None:
             self._landing.forget()
-        if not (self.has_flown_here or stops or link.is_quiet()):
-            self.has_flown_here = True
+        if not stops:
+            self._note_flight()
         self._transmitter.transmit(self._slow_far_line(command))
 
     def cut(self) -> None:
@@ -98,6 +101,11 @@ class CommandGate:
     def note_silence(self) -> None:
         """Note that the drone may not have obeyed its last command."""
         self.has_flown_here = False
+
+    def _note_flight(self) -> None:
+        """Note that the drone flies as this process commands, if it can be reached."""
+        if not (self.has_flown_here or self._link.is_quiet()):
+            self.has_flown_here = True
 
     def _is_due(self, command: Command, stops: bool) -> bool:
         """Return whether this command may leave now, and note when the next one may.
@@ -144,12 +152,8 @@ class CommandGate:
         """Return the command; a line that ends far from the drone gets more time."""
         if not isinstance(command, XYZ) or command.verb != "line":
             return command
-        pose = self._view.find_recent_pose()
-        if pose is not None:
-            here = pose.p
-        elif self._estimate.state is not None:
-            here = self._estimate.state.p
-        else:
+        here = self._find_position()
+        if here is None:
             return command
         far = math.dist(command.flat[0:3], here)
         limit = self._setup.config.flight.speed_limit
@@ -157,3 +161,10 @@ class CommandGate:
         if far <= COMMAND_LIMITS.line_lag + fastest * command.flat[4]:
             return command
         return XYZ("line", np.array([*command.flat[0:4], far / fastest]))
+
+    def _find_position(self) -> Vec | None:
+        """Return (3,) m, where the cameras or its own estimate place the drone; None if neither does."""
+        pose = self._view.find_recent_pose()
+        if pose is not None:
+            return pose.p
+        return None if self._estimate.state is None else self._estimate.state.p

@@ -4,14 +4,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from radio_drones import Kept, made
+from radio_drones import READY, Kept, made, tell
 from virtual_drones import Hangar
 from virtual_time import virtual
 
+from crazychoir.control.firmware import WaypointController
+from crazychoir.control.handlers import FullStateTraj
+from crazychoir.control.senders import XYZSender
 from crazychoir.errors import Refused
 from crazychoir.planning.minimum_snap import minimum_snap
 from crazychoir.radio.drone.firmware_access import FOLLOWED_DISTANCE, FirmwareAccess
-from crazychoir.types import XYZ
+from crazychoir.types import XYZ, State
 
 EIGHT = minimum_snap(
     [[0, 0, 0], [0.4, 0.2, 0.1], [0, 0, 0], [-0.4, -0.2, 0], [0, 0.1, 0]],
@@ -156,26 +159,99 @@ async def test_only_a_drone_that_is_sent_places_flies_from_its_memory(clock):
         await requests_of(drone)["trajectory_upload"](message(EIGHT))
 
 
-@virtual
-async def test_lines_along_the_trajectory_are_not_sent_and_another_line_ends_it(clock):
+def agent_lines():
+    """Return a function of a reference and the time: the line of an agent."""
+    controller = WaypointController(XYZSender(), FullStateTraj())
+    return lambda flown, t, now: controller.command(
+        State.at(flown.sample(t).p), flown.sample(t), now
+    )
+
+
+async def flying(clock, flown):
     drone, link = connected(clock, Hangar().hovering())
-    flown = EIGHT.shifted((0.0, 0.0, 0.5))
-    await requests_of(drone)["trajectory_upload"](message(EIGHT))
-    await start(drone, flown, relative=True)
-    before = len(link.sent)
+    await requests_of(drone)["trajectory_upload"](message(flown))
+    await start(drone, flown)
+    return drone, link, len(link.sent)
 
-    def line(t, away):
-        x, y, z = flown.sample(t + 0.5).p
-        return XYZ("line", np.array([x, y + away, z, 0.0, 0.5]))
 
+@pytest.mark.parametrize("delay", [0.0, 0.1])
+def test_the_lines_of_an_agent_along_a_fast_trajectory_are_not_sent(delay):
+    assert EIGHT.peaks[0] > 1.4, "m/s"
+
+    @virtual
+    async def follow(clock):
+        drone, link, before = await flying(clock, EIGHT)
+        line = agent_lines()
+        for k in range(1, 40):
+            await clock.sleep(0.1)
+            drone.commands.send(line(EIGHT, 0.1 * k - delay, clock.now()))
+            assert len(link.sent) == before, k
+
+    follow()
+
+
+@virtual
+async def test_another_line_ends_the_trajectory_on_board(clock):
+    drone, link, before = await flying(clock, EIGHT)
+    line = agent_lines()
     await clock.sleep(1.0)
-    drone.commands.send(line(1.0, 0.9 * FOLLOWED_DISTANCE))
-    assert len(link.sent) == before
-    drone.commands.send(line(1.0, 1.1 * FOLLOWED_DISTANCE))
+    command = line(EIGHT, 1.0, clock.now())
+    for away, is_sent in ((0.9, False), (1.1, True), (0.0, True)):
+        other = command.flat.copy()
+        other[1] += away * FOLLOWED_DISTANCE
+        drone.commands.send(XYZ("line", other))
+        assert (len(link.sent) > before) is is_sent
+        before = len(link.sent)
+
+
+@virtual
+async def test_a_drone_far_from_the_trajectory_is_flown_by_lines(clock):
+    far = EIGHT.shifted((5.0, 0.0, 0.0))
+    drone, link, before = await flying(clock, far)
+    tell(drone, READY)
+    await clock.sleep(0.1)
+    drone.commands.send(agent_lines()(far, 0.1, clock.now()))
     assert len(link.sent) > before
-    before = len(link.sent)
-    drone.commands.send(line(1.0, 0.0))
-    assert len(link.sent) > before, "the trajectory on board is over"
+
+
+@virtual
+async def test_a_drone_on_its_trajectory_counts_as_commanded(clock):
+    drone, _, _ = await flying(clock, EIGHT)
+    drone.commands.note_silence()
+    await clock.sleep(0.1)
+    drone.commands.send(agent_lines()(EIGHT, 0.1, clock.now()))
+    assert drone.commands.has_flown_here
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_lines_are_kept_back_until_the_drone_has_begun_its_trajectory(fails):
+    @virtual
+    async def begin(clock):
+        drone, link = connected(clock, Hangar().hovering())
+        line = agent_lines()
+
+        async def answer_late(*asked):
+            before = len(link.sent)
+            await clock.sleep(0.5)
+            drone.commands.send(line(EIGHT, 0.0, clock.now()))
+            assert len(link.sent) == before
+            if fails:
+                raise TimeoutError
+            return await HangarLink.ask(link, *asked)
+
+        await requests_of(drone)["trajectory_upload"](message(EIGHT))
+        link.ask = answer_late
+        if fails:
+            with pytest.raises(Refused, match="no answer"):
+                await start(drone, EIGHT)
+        else:
+            await start(drone, EIGHT)
+        before = len(link.sent)
+        await clock.sleep(0.1)
+        drone.commands.send(line(EIGHT, 0.1, clock.now()))
+        assert (len(link.sent) > before) is fails
+
+    begin()
 
 
 @virtual
