@@ -166,7 +166,7 @@ SEEN_URIS = (
 
 
 def with_own_pose(uri: str, *seen: str) -> SwarmConfig:
-    """Return a swarm of drones seen by cameras, and one that estimates its own pose."""
+    """Return a swarm of drones seen by cameras, and a first one with its own pose."""
     rows = [
         f'[[drones]]\nid = {i}\nhome = [{i}, 0, 0]\nuri = "{other}"\n'
         for i, other in enumerate(seen)
