@@ -618,6 +618,14 @@ async def test_chosen_drone_flies_by_arrow_keys_and_gamepad_while_they_are_held(
         await until(lambda: wire.of("steer")[-1] == still, 5.0)
         await page.keyboard.up("ArrowLeft")
 
+        await page.focus("#stick")
+        await page.keyboard.down("ArrowRight")
+        await until(lambda: wire.of("steer")[-1]["v"] == [0.4, 0, 0], 5.0)
+        await page.keyboard.down("Meta")
+        await until(lambda: wire.of("steer")[-1] == still, 5.0)
+        await page.keyboard.up("ArrowRight")
+        await page.keyboard.up("Meta")
+
         count = len(wire.of("steer"))
         await page.evaluate(
             """window.pad = { axes: [0.1, -1, 0.5, 0], buttons: Array(8).fill({ pressed: false }) };
@@ -630,4 +638,9 @@ async def test_chosen_drone_flies_by_arrow_keys_and_gamepad_while_they_are_held(
         flown = {"ask": "steer", "drone": 2, "v": [0, 0.4, 0], "yaw_rate": -0.5}
         assert wire.of("steer")[-1] == flown
         await page.evaluate("pad.buttons = pad.buttons.with(5, { pressed: false })")
+        await until(lambda: wire.of("steer")[-1] == still, 5.0)
+
+        await page.evaluate("pad.buttons = pad.buttons.with(5, { pressed: true })")
+        await until(lambda: wire.of("steer")[-1] == flown, 5.0)
+        await page.evaluate("document.hasFocus = () => false")
         await until(lambda: wire.of("steer")[-1] == still, 5.0)

@@ -55,8 +55,15 @@ function say(words) {
   set(find("stick-said"), words);
 }
 
+// Without focus the browser reports no keys, and an old state of a gamepad.
+const isAttended = () => !document.hidden && document.hasFocus();
+
 function look() {
   if (!isOpen()) return forget();
+  if (!isAttended()) {
+    held.clear();
+    return release();
+  }
   const wish = wishOfGamepad() ?? wishOfKeys();
   if (isStill(wish)) return release();
   const drones = chosen();
@@ -78,16 +85,23 @@ function letGo() {
   look();
 }
 
+// macOS reports no release of a key while Cmd is held; with the other two the keys mean something else.
+const isModified = (event) => event.ctrlKey || event.altKey || event.metaKey;
+
 export function start() {
   const pad = find("stick");
   pad.addEventListener("keydown", (event) => {
-    if (!(event.key in KEY_WISHES) || event.ctrlKey || event.altKey || event.metaKey) return;
+    if (isModified(event)) return letGo();
+    if (!(event.key in KEY_WISHES)) return;
     event.preventDefault();
     if (held.has(event.key)) return;
     held.add(event.key);
     look();
   });
-  pad.addEventListener("keyup", ({ key }) => held.delete(key) && look());
+  pad.addEventListener("keyup", (event) => {
+    if (isModified(event)) return letGo();
+    if (held.delete(event.key)) look();
+  });
   pad.addEventListener("blur", letGo);
   window.addEventListener("blur", letGo);
   document.addEventListener("visibilitychange", () => document.hidden && letGo());
