@@ -60,5 +60,10 @@ def launch(
     except BaseException:
         run.end()
         raise
-    thread.call(thread.value.wait_until_ready())
-    return RunningSwarm(thread, run)
+    launched = RunningSwarm(thread, run)
+    try:
+        thread.call(thread.value.wait_until_ready())
+    except BaseException:
+        launched.close()
+        raise
+    return launched

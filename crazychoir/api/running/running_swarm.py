@@ -1,6 +1,7 @@
 """A running swarm for a script or a notebook: each call returns when the drones have obeyed."""
 
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Any, Self, overload
 
@@ -61,9 +62,13 @@ class RunningSwarm(RunningDrones):
         if self._run is None:
             self.thread.close()
         elif self.result is None:
-            self.thread.call(self._swarm.begin_landing())
-            self.thread.close()
-            self.result = self._run.end()
+            with ExitStack() as ending:  # each step follows, also if one before fails
+                ending.callback(self._end_run, self._run)
+                ending.callback(self.thread.close)
+                self.thread.call(self._swarm.begin_landing())
+
+    def _end_run(self, run: SwarmRun) -> None:
+        self.result = run.end()
 
     def __enter__(self) -> Self:
         return self

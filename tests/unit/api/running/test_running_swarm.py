@@ -1,0 +1,58 @@
+"""The end of a running swarm that a program has started, also after a failure."""
+
+from contextlib import asynccontextmanager
+from importlib import import_module
+
+import pytest
+
+from crazychoir.api.running.blocking import LoopThread
+from crazychoir.api.running.running_swarm import RunningSwarm
+
+
+class FailingSwarm:
+    """A swarm that gets neither ready nor accepts that it lands, and the run that it flies in."""
+
+    ids = (0, 1)
+    file = "swarm.json"
+
+    def __init__(self, lands):
+        self.lands = lands
+        self.is_left = False
+        self.is_ended = False
+
+    @asynccontextmanager
+    async def join(self, file=None):
+        yield self
+        self.is_left = True
+
+    async def wait_until_ready(self):
+        raise TimeoutError("not ready")
+
+    async def begin_landing(self):
+        if not self.lands:
+            raise ConnectionError("no network")
+
+    def end(self):
+        self.is_ended = True
+        return {"success": False}
+
+
+def test_run_ends_although_its_landing_fails():
+    failing = FailingSwarm(lands=False)
+    swarm = RunningSwarm(LoopThread(failing.join), failing)
+    with pytest.raises(ConnectionError, match="no network"):
+        swarm.close()
+    assert failing.is_left
+    assert failing.is_ended
+    assert swarm.result == {"success": False}
+
+
+def test_launched_run_that_does_not_get_ready_is_ended(monkeypatch):
+    failing = FailingSwarm(lands=True)
+    connect = import_module("crazychoir.api.connect")  # not the function
+    monkeypatch.setattr(connect, "SwarmRun", lambda *told: failing)
+    monkeypatch.setattr(connect, "join_swarm", failing.join)
+    with pytest.raises(TimeoutError, match="not ready"):
+        connect.launch("operator", drones=2)
+    assert failing.is_left
+    assert failing.is_ended
