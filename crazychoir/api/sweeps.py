@@ -77,12 +77,14 @@ def sweep(
     loss: share of the messages that is lost, one or several
     options: {name: values} of mission options; "network.delay" names a key in a table of the swarm file
     drones: number of drones, one or several
-    jobs: number of processes; None: one a core
+    jobs: number of processes, at least 1; None: one a core
     file: file (.jsonl) that keeps the rows. After Ctrl-C the same call goes on where it was, and its
         file is the same as without the interruption
     watch: called after each run; None shows a bar of progress on a terminal
     Raises ConfigError for a mission or value that is not allowed, if no run can begin.
     """
+    if jobs is not None and jobs < 1:
+        raise ConfigError("jobs", jobs, "1 or more processes")
     if not isinstance(mission, str | Path):
         do = "Save it as a file: each process imports the mission by itself. In a notebook, %%writefile does."
         raise ConfigError("mission", repr(mission), "a name or a file", do)

@@ -75,11 +75,14 @@ class WorkerPool:
     def _work(self) -> None:
         """Start a process, and give it runs until there are none."""
         with tempfile.TemporaryFile() as words:
-            process: subprocess.Popen[str] | None = self._begin(words)
+            process, reason = self._begin(words)
             while (run := self._runs.get()) is not None and not self._is_ending:
                 key, config = run
                 if process is None:
-                    process = self._begin(words)
+                    process, reason = self._begin(words)
+                if process is None:
+                    self._rows.put((key, build_first_figures(False, reason)))
+                    continue
                 begin = words.seek(0, os.SEEK_END)
                 row = _ask(process, config)
                 if row is None:
@@ -91,13 +94,19 @@ class WorkerPool:
             _kill(process)
             _close(process)
 
-    def _begin(self, words: IO[bytes]) -> "subprocess.Popen[str]":
-        """Start a process, which ends if the pool ends meanwhile."""
-        process = _start(words)
+    def _begin(self, words: IO[bytes]) -> "tuple[subprocess.Popen[str] | None, str]":
+        """Start a process, which ends if the pool ends meanwhile.
+
+        Returns it and "", or None and the reason why the system starts none.
+        """
+        try:
+            process = _start(words)
+        except OSError as error:
+            return None, f"its process does not start: {error}"
         self._processes.append(process)
         if self._is_ending:  # the ending thread has not seen this process
             _kill(process)
-        return process
+        return process, ""
 
 
 def _start(words: IO[bytes]) -> "subprocess.Popen[str]":

@@ -100,6 +100,18 @@ def test_failed_runs_are_rows_and_a_process_flies_until_it_ends(mission):
     assert reasons[4:6] == 2 * ["its process has ended with code 3"]
 
 
+def test_a_process_that_does_not_start_fails_its_runs(mission, monkeypatch):
+    def start(words):
+        raise BlockingIOError("too many processes")
+
+    monkeypatch.setattr("crazychoir.api.worker_pool._start", start)
+    table = sweep(mission, seeds=[1, 2], drones=1, jobs=1, watch=watch_nothing)
+    assert table.column("success") == 2 * [False]
+    assert table.column("reason") == 2 * [
+        "its process does not start: too many processes"
+    ]
+
+
 def test_a_value_that_the_swarm_does_not_take_refuses_its_runs_alone(mission):
     runs = plan_runs(str(mission), {"network.delay": [0.0, -1.0], "seed": [1]})
     assert [run.config is None for run in runs] == [False, True]
@@ -112,6 +124,8 @@ def test_a_value_that_the_swarm_does_not_take_refuses_its_runs_alone(mission):
         ({"options": {"hight": [1]}}, "hight"),
         ({"seeds": []}, "seed: found no value"),
         ({"loss": 2}, "loss"),
+        ({"jobs": 0}, "jobs: found 0; allowed: 1 or more"),
+        ({"jobs": -1}, "jobs: found -1; allowed: 1 or more"),
     ],
 )
 def test_a_sweep_without_any_run_is_refused(mission, values, said):
