@@ -5,6 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from msgspec.structs import replace
+
 from crazychoir.agent.command_arguments import path_message
 from crazychoir.api.running.receipts import OrderFailed, OrderReceipt
 from crazychoir.api.running.state_log import StateLog
@@ -14,6 +16,7 @@ from crazychoir.launch.observer import Window
 from crazychoir.launch.order_times import ORDER_TIMEOUTS
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.trajectory_file import read_pieces
+from crazychoir.runtime.mailbox import Latest
 from crazychoir.types import Point, State
 
 ABSENT_TEXT = "its agent was not found"
@@ -23,7 +26,7 @@ REFUSAL_TIME = 0.2
 STATE_RATE = 20.0
 """Hz at which the states of all drones arrive."""
 STATE_TIMEOUT = 2.0
-"""s to wait for the first state of a drone."""
+"""s to wait for a state of a drone that is not stale."""
 Told = Mapping[int, Mapping[str, Any]]
 """The arguments of a command, by drone."""
 
@@ -36,17 +39,12 @@ class DroneOrders:
 
     def __init__(self, window: Window) -> None:
         self.window = window
-        self.states: dict[int, State] = {}
-        """The newest state of each drone."""
+        self._states: dict[int, Latest[State]] = {}
         self._open: set[asyncio.Task[Any]] = set()
+        topic = DRONE_TOPICS.state
         for i in window.config.ids:
-            window.read(DRONE_TOPICS.state, i, self._make_reader(i), STATE_RATE)
-
-    def _make_reader(self, i: int) -> Any:
-        def keep(state: State, age: float) -> None:
-            self.states[i] = state
-
-        return keep
+            states = self._states[i] = Latest(window.clock, "state", topic.max_age)
+            window.read(topic, i, states.put, STATE_RATE)
 
     async def give(self, verb: str, told: Told, seconds: float, wait: bool) -> None:
         """Send a flight command.
@@ -114,17 +112,30 @@ class DroneOrders:
         return {i: said for i, (_, said) in answers.items()}
 
     async def wait_for_states(self, ids: Sequence[int]) -> dict[int, State]:
-        """Return the newest state of each drone; raise OrderFailed for a drone without one."""
+        """Return the newest state of each drone, with its present age.
+
+        Raises OrderFailed for a drone whose newest state stays older than the topic allows.
+        """
         clock = self.window.clock
         ends = clock.now() + STATE_TIMEOUT
-        while (missing := [i for i in ids if i not in self.states]) and (
-            clock.now() < ends
-        ):
+        found = self._list_states(ids)
+        while len(found) < len(ids) and clock.now() < ends:
             await clock.sleep(0.01)
+            found = self._list_states(ids)
+        missing = [i for i in ids if i not in found]
         if missing:
-            why = f"no state within {STATE_TIMEOUT:g} s"
+            why = f"no new state within {STATE_TIMEOUT:g} s"
             raise OrderFailed(OrderReceipt(i, "state", "silent", why) for i in missing)
-        return {i: self.states[i] for i in ids}
+        return found
+
+    def _list_states(self, ids: Sequence[int]) -> dict[int, State]:
+        """Return the newest state of each drone with its age; no state that is stale."""
+        heard = {i: self._states[i].fresh_with_age() for i in ids}
+        return {
+            i: replace(state, age=age)
+            for i, (state, age) in heard.items()
+            if state is not None
+        }
 
 
 def _read_failure(i: int, verb: str, said: str) -> OrderReceipt:
@@ -299,7 +310,10 @@ class AsyncDrones:
         return self.ids
 
     async def states(self) -> dict[int, State]:
-        """Return the newest state of each drone: p, v, q, w, and its age in s."""
+        """Return the newest state of each drone: p, v, q, w, and its present age in s.
+
+        Raises OrderFailed for a drone without a new state in the last 0.25 s, nor in the next 2 s.
+        """
         return await self._orders.wait_for_states(self.ids)
 
     @property
@@ -323,7 +337,7 @@ class AsyncDrone(AsyncDrones):
         return self.ids[0]
 
     async def state(self) -> State:
-        """Return its newest state: p, v, q, w, and its age in s."""
+        """Return its newest state, as `states` does."""
         return (await self.states())[self.id]
 
     async def log(self, rate: float = 10.0) -> StateLog:

@@ -1,0 +1,38 @@
+"""The states of running drones, as a script reads them."""
+
+from types import SimpleNamespace
+
+import pytest
+from virtual_time import virtual
+
+from crazychoir.api.running.async_drones import AsyncDrone, DroneOrders
+from crazychoir.api.running.receipts import OrderFailed
+from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.types import State
+
+
+class HearingWindow:
+    """A window on drone 0; `hear` gives it a state with an age."""
+
+    def __init__(self, clock):
+        self.clock = clock
+        self.config = SimpleNamespace(ids=(0,))
+
+    def read(self, topic, i, function, rate):
+        self.hear = function
+
+
+@virtual
+async def test_state_has_its_present_age_and_a_stale_one_is_not_returned(clock):
+    window = HearingWindow(clock)
+    drone = AsyncDrone(DroneOrders(window), (0,))
+    window.hear(State.at([1.0, 2.0, 3.0]), 0.05)
+    await clock.sleep(0.1)
+    state = await drone.state()
+    assert state.p.tolist() == [1.0, 2.0, 3.0]
+    assert state.age == pytest.approx(0.15)
+    await clock.sleep(DRONE_TOPICS.state.max_age)
+    with pytest.raises(OrderFailed, match="drone 0: state silent: no new state"):
+        await drone.state()
+    window.hear(State.at([1.5, 2.0, 3.0]), 0.0)
+    assert (await drone.state()).p[0] == 1.5
