@@ -11,27 +11,30 @@ from crazychoir.api.running.running_swarm import RunningSwarm
 from crazychoir.api.running.swarm_run import BODY_KINDS, SwarmRun
 
 
-def connect(swarm: str | Path | None = None) -> RunningSwarm:
+def connect(swarm: str | Path | None = None, *, console: bool = False) -> RunningSwarm:
     """Connect to a running swarm, and return it when its drones are found.
 
     swarm: swarm file, or its run on this machine; None: ./swarm.toml, else your only run
+    console: whether this program counts as an operator's console until it leaves the swarm; drones
+        with `flight.dead_man` then fly on without another one
     Raises Refused if there is none, or if several could be meant.
     """
     file = None if swarm is None else str(swarm)
-    return RunningSwarm(LoopThread(partial(join_swarm, file)))
+    return RunningSwarm(LoopThread(partial(join_swarm, file, console)))
 
 
 def connect_async(
-    swarm: str | Path | None = None,
+    swarm: str | Path | None = None, *, console: bool = False
 ) -> AbstractAsyncContextManager[AsyncSwarm]:
     """Connect to a running swarm in the present event loop.
 
         async with connect_async() as swarm: ...
 
     swarm: as in `connect`
+    console: as in `connect`
     Raises all errors of `connect`.
     """
-    return join_swarm(None if swarm is None else str(swarm))
+    return join_swarm(None if swarm is None else str(swarm), console)
 
 
 def launch(
@@ -43,6 +46,8 @@ def launch(
     record: str | Path | None = None,
 ) -> RunningSwarm:
     """Start a run in real time, in processes of its own, and return its swarm.
+
+    This program counts as an operator's console until it leaves the swarm (`flight.dead_man`).
 
     mission: name of a mission, or a mission file
     drones: number of drones; None: as many as the mission has by itself
@@ -56,7 +61,7 @@ def launch(
     config, _ = FlightRequest(mission, drones, file).choose()
     run = SwarmRun(config, bodies, processes, record)
     try:
-        thread = LoopThread(partial(join_swarm, run.file))
+        thread = LoopThread(partial(join_swarm, run.file, console=True))
     except BaseException:
         run.end()
         raise

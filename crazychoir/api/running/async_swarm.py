@@ -124,15 +124,16 @@ class AsyncSwarm(AsyncDrones):
 
 
 @asynccontextmanager
-async def join_swarm(swarm: str | None) -> AsyncIterator[AsyncSwarm]:
+async def join_swarm(swarm: str | None, console: bool) -> AsyncIterator[AsyncSwarm]:
     """Join a running swarm in the present event loop; leave it at the end.
 
     swarm: swarm file, or its run on this machine; None as in `running_swarm`
+    console: whether this process reports as an operator's console
     Raises Refused if there is none, or if several could be meant.
     """
     clock = WallClock(asyncio.get_running_loop())
     try:
-        async with _join(clock, running_swarm(swarm), swarm) as joined:
+        async with _join(clock, running_swarm(swarm), swarm, console) as joined:
             yield joined
     finally:
         clock.close()
@@ -140,13 +141,13 @@ async def join_swarm(swarm: str | None) -> AsyncIterator[AsyncSwarm]:
 
 @asynccontextmanager
 async def _join(
-    clock: Clock, config: SwarmConfig, option: str | None
+    clock: Clock, config: SwarmConfig, option: str | None, console: bool
 ) -> AsyncIterator[AsyncSwarm]:
     link = make_observer_link(clock, config)
     window = Window(clock, config, link, option, first_process_timeout(config))
     reporters = (
         [ConsoleReporter(window.commander, config.ids)]
-        if is_console(config, link.bus.host)
+        if console and is_console(config, link.bus.host)
         else []
     )
     async with run_attached(link, *reporters):

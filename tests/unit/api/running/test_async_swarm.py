@@ -1,12 +1,16 @@
 """A running swarm as an asynchronous object, over whole drones in virtual time."""
 
+from contextlib import asynccontextmanager
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from operators import play_scene
 
+from crazychoir.agent.dead_man import ConsoleReporter
 from crazychoir.agents import operator as mission
+from crazychoir.api.connect import connect_async
+from crazychoir.api.running import async_swarm
 from crazychoir.api.running.async_swarm import AsyncSwarm
 from crazychoir.api.running.receipts import OrderFailed, OrderReceipt
 from crazychoir.errors import ConfigError
@@ -180,3 +184,26 @@ def test_stop_cuts_the_motors_of_one_drone():
         await swarm.begin_landing()
 
     fly(scene)
+
+
+@pytest.mark.parametrize(("said", "count"), [({}, 0), ({"console": True}, 1)])
+async def test_only_a_script_that_says_so_counts_as_a_console(monkeypatch, said, count):
+    attached = []
+
+    @asynccontextmanager
+    async def attach(link, *actors):
+        attached.extend(actors)
+        yield
+
+    def subscribe(*wanted):
+        """Send no states."""
+
+    port = SimpleNamespace(handlers={}, address=100)
+    bus = SimpleNamespace(ports={100: port}, subscribe=subscribe, host="here")
+    link = SimpleNamespace(bus=bus, directory={0: None, 1: None}, peers={})
+    config = mission.swarm(2).replace(flight={"dead_man": 3.0})
+    monkeypatch.setattr(async_swarm, "running_swarm", lambda swarm: config)
+    monkeypatch.setattr(async_swarm, "make_observer_link", lambda clock, config: link)
+    monkeypatch.setattr(async_swarm, "run_attached", attach)
+    async with connect_async(**said):
+        assert [type(actor) for actor in attached] == count * [ConsoleReporter]

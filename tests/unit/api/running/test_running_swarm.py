@@ -21,7 +21,7 @@ class FailingSwarm:
         self.is_ended = False
 
     @asynccontextmanager
-    async def join(self, file=None):
+    async def join(self, file=None, console=False):
         yield self
         self.is_left = True
 
