@@ -12,6 +12,10 @@ from crazychoir.bus.commands import COMMANDED_PREFIX
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.errors import Refused
 
+STREAMED_COMMAND = "velocity"
+"""The command that a stick sends many times a second."""
+STREAM_INTERVAL = 1.0
+"""s: a velocity that follows another one so soon is not published to observers."""
 Arguments = dict[str, Any]
 CommandMethod = Callable[[Arguments], Awaitable[Any]]
 """Executes a command with these arguments, and returns its outcome."""
@@ -34,11 +38,13 @@ class DroneCommands:
         self.drone = drone
         self._orders = orders
         self._hear_console = hear_console
+        self._last_command = ""
+        self._last_time = 0.0
         steering = Steering(drone)
         self._changes: Mapping[str, CommandMethod] = {
             **{verb: partial(self._order, verb) for verb in orders.verbs},
             "go-to": steering.go_to,
-            "velocity": steering.move,
+            STREAMED_COMMAND: steering.move,
             "fly": steering.fly,
             "impair": self._impair,
             "param_set": self._set_parameter,
@@ -58,31 +64,37 @@ class DroneCommands:
     async def execute(self, verb: str, arguments: Arguments) -> Any:
         """Execute a command of an operator, and return its outcome.
 
-        Commands that change something are published to all observers.
+        Commands that change something are published to all observers; a stream of velocities once.
         Raises Refused with the reason.
         """
         if verb in self._queries:
             return await self._queries[verb](arguments)
-        drone = self.drone
-        drone.port.publish(
-            DRONE_TOPICS.log, f"drone {drone.id}: {COMMANDED_PREFIX}{verb}"
-        )
+        self._publish(verb)
         if verb not in self._changes:
             verbs = ", ".join((*self._changes, *self._queries))
             raise Refused(
-                f"drone {drone.id}", f"no command {verb!r}; there are {verbs}"
+                f"drone {self.drone.id}", f"no command {verb!r}; there are {verbs}"
             )
         return await self._changes[verb](arguments)
 
     def stop(self, on: bool) -> None:
         """Begin or clear an emergency stop: at its begin the motors are cut."""
-        drone = self.drone
-        what = "emergency stop" if on else "clear stop"
-        drone.port.publish(
-            DRONE_TOPICS.log, f"drone {drone.id}: {COMMANDED_PREFIX}{what}"
-        )
+        self._publish("emergency stop" if on else "clear stop")
         if on:
-            drone.pilot.cut("emergency stop")
+            self.drone.pilot.cut("emergency stop")
+
+    def _publish(self, command: str) -> None:
+        """Publish a command to all observers; of velocities in quick succession the first."""
+        drone = self.drone
+        now = drone.port.bus.clock.now()
+        is_repeated = command == self._last_command == STREAMED_COMMAND
+        is_quick = now - self._last_time < STREAM_INTERVAL
+        self._last_command = command
+        self._last_time = now
+        if not (is_repeated and is_quick):
+            drone.port.publish(
+                DRONE_TOPICS.log, f"drone {drone.id}: {COMMANDED_PREFIX}{command}"
+            )
 
     async def _order(self, verb: str, arguments: Arguments) -> str:
         return await self._orders.execute(verb, arguments)

@@ -16,8 +16,12 @@ from crazychoir.safety.rules.modes import Mode
 
 
 class StillClock(Clock):
+    """A clock that moves only if a test moves it."""
+
+    time_ns = 0
+
     def now_ns(self) -> int:
-        return 0
+        return self.time_ns
 
 
 class Beats:
@@ -68,6 +72,21 @@ async def test_changes_are_published(commands, said):
     network = await commands.execute("impair", {"loss": 0.5})
     assert network["rules"] == [{"loss": 0.5}]
     assert said == [(DRONE_TOPICS.log, "drone 3: commanded: impair")]
+
+
+async def test_stream_of_velocities_is_published_once(commands, said, monkeypatch):
+    async def move(arguments):
+        return "flown"
+
+    monkeypatch.setitem(commands._changes, "velocity", move)
+    clock = commands.drone.port.bus.clock
+    for pause in (0, 100_000_000, 900_000_000, 1_000_000_000):
+        clock.time_ns += pause
+        await commands.execute("velocity", {})
+    commands.stop(False)
+    await commands.execute("velocity", {})
+    words = [text.removeprefix("drone 3: commanded: ") for _, text in said]
+    assert words == ["velocity", "velocity", "clear stop", "velocity"]
 
 
 async def test_unknown_command_is_refused_with_the_list_of_commands(commands):
