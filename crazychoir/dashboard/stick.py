@@ -70,8 +70,10 @@ class StickSender:
         """Send no more to these drones, because of another command."""
         for i in drones:
             flight = self._flights.pop(i, None)
-            if flight is not None and flight.sending is not None:
-                flight.sending.cancel()
+            if flight is None or flight.sending is None:
+                continue
+            flight.sending.cancel()
+            if flight.receipt.open:
                 self._book.withdraw(flight.receipt, i, by)
 
     def close(self) -> None:
@@ -88,16 +90,24 @@ class StickSender:
         yaw_rate: float,
         is_released: bool,
     ) -> None:
-        """Send one velocity until it is flown or replaced, and note the end of the flight."""
+        """Send one velocity until it is flown or replaced, and note the end of the flight.
+
+        A refusal does not end it while the stick is held: the next velocities have the same receipt.
+        """
         receipt = flight.receipt
         times = STICK_TIMES
+
+        def note_acceptance() -> None:
+            if receipt.open:  # a drone accepts a command before it refuses it
+                self._book.answer(receipt, drone, ANSWER_TEXTS.accepted)
+
         duration = times.release_duration if is_released else times.velocity_duration
         try:
             answer = await self._place.commander.request(
                 drone,
                 STICK_VERB,
                 times.patience if is_released else 2.0 * duration,
-                lambda: self._book.answer(receipt, drone, ANSWER_TEXTS.accepted),
+                note_acceptance,
                 v=v,
                 yaw_rate=yaw_rate,
                 duration=duration,
@@ -106,6 +116,8 @@ class StickSender:
             self._flights.pop(drone, None)
             self._book.answer(receipt, drone, RECEIPT_KINDS.silent, str(error))
             return
-        self._flights.pop(drone, None)
         detail = "" if answer.detail is None else answer.detail
         self._book.answer(receipt, drone, answer.kind, detail)
+        if answer.kind == ANSWER_TEXTS.refused and not is_released:
+            await self._place.clock.sleep(times.velocity_duration)
+        self._flights.pop(drone, None)

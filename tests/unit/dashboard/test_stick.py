@@ -57,6 +57,24 @@ async def test_refusal_of_the_drone_is_shown(clock):
 
 
 @virtual
+async def test_refused_flight_has_one_receipt_and_one_log_line_until_the_release(clock):
+    swarm = Flown(clock)
+    receipt = swarm.desk.steer(1, (0.1, 0.0, 0.0), 0.0)
+    for _ in range(5):
+        await clock.sleep(0.1)
+        assert swarm.desk.steer(1, (0.1, 0.0, 0.0), 0.0) is receipt
+    await clock.sleep(0.1)
+    assert swarm.desk.steer(1, STILL, 0.0) is receipt
+    await clock.sleep(0.1)
+    assert receipt.answers == {1: (ANSWER_TEXTS.refused, "it is on the ground")}
+    assert swarm.watch.count == 1
+    again = swarm.desk.steer(1, (0.1, 0.0, 0.0), 0.0)
+    assert again is not receipt
+    await clock.sleep(1.0)
+    assert swarm.desk.steer(1, (0.1, 0.0, 0.0), 0.0) is not again, "the page was silent"
+
+
+@virtual
 async def test_old_velocity_is_not_sent_again_after_a_newer_one_or_a_stop(clock):
     swarm = Flown(clock)
     hear = swarm.deaf(0)
