@@ -114,7 +114,7 @@ class DroneOrders:
     async def wait_for_states(self, ids: Sequence[int]) -> dict[int, State]:
         """Return the newest state of each drone, with its present age.
 
-        Raises OrderFailed for a drone whose newest state stays older than the topic allows.
+        Raises OrderFailed for a drone if its newest state stays older than the topic allows.
         """
         clock = self.window.clock
         ends = clock.now() + STATE_TIMEOUT
