@@ -16,6 +16,11 @@ def test_every_name_is_there(name):
     assert name in dir(api)
 
 
+def test_no_module_has_a_public_name_which_its_import_would_replace():
+    folder = Path(api.__file__).parent
+    assert not {path.stem for path in folder.iterdir()} & set(api.__all__)
+
+
 def test_a_name_that_is_none():
     with pytest.raises(AttributeError, match="no attribute 'Nothing'"):
         api.Nothing  # noqa: B018

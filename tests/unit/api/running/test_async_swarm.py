@@ -9,7 +9,7 @@ from operators import play_scene
 
 from crazychoir.agent.dead_man import ConsoleReporter
 from crazychoir.agents import operator as mission
-from crazychoir.api.connect import connect_async
+from crazychoir.api.connecting import connect_async
 from crazychoir.api.running import async_swarm
 from crazychoir.api.running.async_swarm import AsyncSwarm
 from crazychoir.api.running.receipts import OrderFailed, OrderReceipt

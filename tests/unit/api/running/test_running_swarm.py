@@ -1,10 +1,10 @@
 """The end of a running swarm that a program has started, also after a failure."""
 
 from contextlib import asynccontextmanager
-from importlib import import_module
 
 import pytest
 
+from crazychoir.api import connecting
 from crazychoir.api.running.blocking import LoopThread
 from crazychoir.api.running.running_swarm import RunningSwarm
 
@@ -49,10 +49,9 @@ def test_run_ends_although_its_landing_fails():
 
 def test_launched_run_that_does_not_get_ready_is_ended(monkeypatch):
     failing = FailingSwarm(lands=True)
-    connect = import_module("crazychoir.api.connect")  # not the function
-    monkeypatch.setattr(connect, "SwarmRun", lambda *told: failing)
-    monkeypatch.setattr(connect, "join_swarm", failing.join)
+    monkeypatch.setattr(connecting, "SwarmRun", lambda *told: failing)
+    monkeypatch.setattr(connecting, "join_swarm", failing.join)
     with pytest.raises(TimeoutError, match="not ready"):
-        connect.launch("operator", drones=2)
+        connecting.launch("operator", drones=2)
     assert failing.is_left
     assert failing.is_ended
