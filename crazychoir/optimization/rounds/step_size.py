@@ -18,7 +18,7 @@ LARGE_ITERATE: Final = 1e9
 LARGEST_ITERATE: Final = 1e100
 """Iterates above this overflow soon."""
 GROWING_LOOKS: Final = 8
-"""Looks in a row from each of which to the next the iterates have doubled."""
+"""Looks in a row at which the iterates must have doubled since the look before."""
 ROUNDS_PER_LOOK: Final = 8
 """Rounds from one look at the size of the iterates to the next."""
 
