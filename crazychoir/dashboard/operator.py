@@ -7,6 +7,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
+from crazychoir.agent.order_times import ORDER_TIMEOUTS
 from crazychoir.agent.sketch import (
     PlannedSketch,
     flight_messages,
@@ -50,8 +51,6 @@ Work = Callable[[], Coroutine[Any, Any, dict[str, Any] | None]]
 """Work that takes a while; it returns the answer for the page."""
 MOST_LINK_ENDS = 2
 """Largest number of drones that can select a link."""
-PATH_START_TIMEOUT = 60.0
-"""Seconds that a drone gets to reach the begin of a drawn path."""
 
 
 class PageOperator:
@@ -191,7 +190,7 @@ class PageOperator:
                 flight_messages, plan.path, drones, message.offset, self.config
             )
         )
-        seconds = plan.path.duration + PATH_START_TIMEOUT
+        seconds = plan.path.duration + ORDER_TIMEOUTS["fly"]
         words = f"{plan.path.duration:.1f} s"
         self.desk.order(
             "fly", drones, seconds, words, each=lambda i: told.result()[i], first=told

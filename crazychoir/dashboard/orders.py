@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from crazychoir.agent.order_times import ORDER_TIMEOUTS
 from crazychoir.bus.commands import ANSWER_TEXTS, Answer
 from crazychoir.dashboard.command_place import CommandPlace
 from crazychoir.dashboard.receipts import (
@@ -36,18 +37,7 @@ class OrderLimits:
 ORDER_LIMITS = OrderLimits()
 
 
-MOTION_TIMEOUTS = {
-    "arm": 5.0,
-    "take-off": 30.0,
-    "start": 5.0,
-    "hold": 5.0,
-    "go": 5.0,
-    "land": 60.0,
-    "home": 120.0,
-    "go-to": 120.0,
-}
-"""Seconds to wait until each command is done; all others get ORDER_LIMITS.request_timeout seconds."""
-MOTION_ORDERS = (*MOTION_TIMEOUTS, "fly")
+MOTION_ORDERS = tuple(ORDER_TIMEOUTS)
 """Orders that move a drone or let it move; a stop of the drone withdraws them."""
 COMPATIBLE_ORDERS = {
     "arm": MOTION_ORDERS,
@@ -115,7 +105,7 @@ class OrderSender:
         """
         verb = receipt.verb
         if seconds is None:
-            seconds = MOTION_TIMEOUTS.get(verb, ORDER_LIMITS.request_timeout)
+            seconds = ORDER_TIMEOUTS.get(verb, ORDER_LIMITS.request_timeout)
         if verb in MOTION_ORDERS:
             self._outdo(receipt, COMPATIBLE_ORDERS.get(verb, ()))
         before = {

@@ -8,12 +8,12 @@ from typing import Any
 from msgspec.structs import replace
 
 from crazychoir.agent.command_arguments import path_message
+from crazychoir.agent.order_times import ORDER_TIMEOUTS
 from crazychoir.api.running.receipts import OrderFailed, OrderReceipt
 from crazychoir.api.running.state_log import StateLog
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.errors import ConfigError
 from crazychoir.launch.observer import Window
-from crazychoir.launch.order_times import ORDER_TIMEOUTS
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.trajectory_file import read_pieces
 from crazychoir.runtime.mailbox import Latest

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from crazychoir.agent.order_times import ORDER_TIMEOUTS
 from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_operator
 from crazychoir.cli.operate.orders import (
     DurationOption,
@@ -15,7 +16,6 @@ from crazychoir.cli.operate.orders import (
 )
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import ERROR_CONSOLE
-from crazychoir.launch.order_times import ORDER_TIMEOUTS
 
 if TYPE_CHECKING:
     from crazychoir.launch.observer import Answers, Window

@@ -8,12 +8,12 @@ import typer
 from rich.table import Table
 
 from crazychoir.agent.command_arguments import LONGEST_VELOCITY
+from crazychoir.agent.order_times import ORDER_TIMEOUTS
 from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_operator
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import ANSWER_CONSOLE, exit_with_error, write_json
-from crazychoir.launch.order_times import ORDER_TIMEOUTS
 
 if TYPE_CHECKING:
     from crazychoir.launch.observer import Answers, Window

@@ -45,7 +45,7 @@ def router(
         at = Addresses(config).routers if listen is None else [listen]
         access = access_of(config, config.router or "", *at)
         with route_messages(at, config.lease, access):
-            closed = "mutual TLS" if access is not None else "open to everybody"
+            closed = "mutual TLS" if access is not None else "open to all"
             ERROR_CONSOLE.print(
                 f"swarm {config.name} ({which}): router at {', '.join(at)}, {closed}",
                 markup=False,

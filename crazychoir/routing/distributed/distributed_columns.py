@@ -160,11 +160,11 @@ class DistributedColumns:
         mine = None
         rank = self._order.robot_rank[self._i]
         if rank < settings.search.starters:
-            everybody = Cluster(self._order.robots, self._order.tasks, (self._i,))
+            all_robots = Cluster(self._order.robots, self._order.tasks, (self._i,))
             routes = reoptimize_cluster(
                 self._robots,
                 {},
-                everybody,
+                all_robots,
                 self._left_out,
                 settings.search.first_steps,
                 rank,

@@ -29,11 +29,11 @@ def explain_missing_tasks(
     left_out: (M,) cost of leaving a task out.
     steps: search steps for each kind.
     """
-    everybody = Cluster(order.robots, order.tasks, ())
+    all_robots = Cluster(order.robots, order.tasks, ())
     m = len(order.tasks)
 
     def count_missing(problems: Mapping[int, LocalProblem]) -> int:
-        routes = reoptimize_cluster(problems, {}, everybody, left_out, steps, 0)
+        routes = reoptimize_cluster(problems, {}, all_robots, left_out, steps, 0)
         return len(list_unserved_tasks(routes, m))
 
     present = count_missing(robots)

@@ -2,9 +2,10 @@ import asyncio
 
 from virtual_time import virtual
 
+from crazychoir.agent.order_times import ORDER_TIMEOUTS
 from crazychoir.bus.commands import ANSWER_TEXTS, Answer
 from crazychoir.dashboard.event_log import EventLog
-from crazychoir.dashboard.orders import MOTION_TIMEOUTS, ORDER_LIMITS, OrderSender
+from crazychoir.dashboard.orders import ORDER_LIMITS, OrderSender
 from crazychoir.dashboard.receipts import RECEIPT_KINDS, ReceiptBook
 
 
@@ -52,7 +53,7 @@ async def test_each_order_gets_the_time_of_its_kind(clock):
     send(orders, book.add("hold", [2], ""), 1.5)
     await clock.sleep(0.1)
     assert place.timeouts == [
-        MOTION_TIMEOUTS["land"],
+        ORDER_TIMEOUTS["land"],
         ORDER_LIMITS.request_timeout,
         1.5,
     ]

@@ -64,8 +64,8 @@ def test_closed_thread_says_so():
 def test_error_of_the_context_reaches_the_caller():
     @asynccontextmanager
     async def enter():
-        raise ConnectionError("nobody is there")
+        raise ConnectionError("no drone is there")
         yield
 
-    with pytest.raises(ConnectionError, match="nobody is there"):
+    with pytest.raises(ConnectionError, match="no drone is there"):
         LoopThread(enter)
