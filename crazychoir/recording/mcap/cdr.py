@@ -73,9 +73,14 @@ def definitions_of(name: str, text: str) -> Definitions:
 
 
 def leaves(name: str, definitions: Definitions, path: str = "") -> Iterator[Leaf]:
-    """Yield the fields of a message and of the messages in it, in the order of their bytes."""
+    """Yield the fields of a message and of the messages in it, in the order of their bytes.
+
+    A sequence of messages is a field that can be empty only.
+    """
     for kind, brackets, count, field in _fields(definitions[name]):
-        if kind in definitions:
+        if kind in definitions and brackets:
+            yield Leaf(path + field, "uint8", None)
+        elif kind in definitions:
             yield from leaves(kind, definitions, f"{path}{field}.")
         else:
             values: int | None = 1

@@ -10,8 +10,13 @@ from crazychoir.recording.ros.ros import ROS_DEFINITIONS
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.types import State, Vec
 
-RVIZ_DEFINITIONS: Definitions = {
+MARKER_DEFINITIONS: Definitions = {
     **ROS_DEFINITIONS,
+    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec",
+    "std_msgs/ColorRGBA": "float32 r\nfloat32 g\nfloat32 b\nfloat32 a",
+    "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data",
+    "visualization_msgs/UVCoordinate": "float32 u\nfloat32 v",
+    "visualization_msgs/MeshFile": "string filename\nuint8[] data",
     "visualization_msgs/Marker": """\
 std_msgs/Header header
 string ns
@@ -20,28 +25,21 @@ int32 type
 int32 action
 geometry_msgs/Pose pose
 geometry_msgs/Vector3 scale
-float32[4] color
-int32 lifetime_sec
-uint32 lifetime_nanosec
+std_msgs/ColorRGBA color
+builtin_interfaces/Duration lifetime
 bool frame_locked
-uint8[] points
-uint8[] colors
+geometry_msgs/Point[] points
+std_msgs/ColorRGBA[] colors
 string texture_resource
-builtin_interfaces/Time texture_stamp
-string texture_frame
-string texture_format
-uint8[] texture_data
-uint8[] uv_coordinates
+sensor_msgs/CompressedImage texture
+visualization_msgs/UVCoordinate[] uv_coordinates
 string text
 string mesh_resource
-string mesh_filename
-uint8[] mesh_data
+visualization_msgs/MeshFile mesh_file
 bool mesh_use_embedded_materials""",
+    "visualization_msgs/MarkerArray": "visualization_msgs/Marker[] markers",
 }
-"""Definitions of the messages by the layout of their bytes.
-
-Sequences of messages that stay empty are declared as bytes.
-"""
+"""Markers, and all messages in them, as in ROS 2 Jazzy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +163,7 @@ def _marker(
     action: int = RVIZ_SETTINGS.add_action,
 ) -> tuple[object, ...]:
     place = (*p.tolist(), 0.0, 0.0, 0.0, 1.0)
-    looks = (size, size, size, (0.0, 0.447, 0.698, 1.0), 1, 0, False)
+    looks = (size, size, size, 0.0, 0.447, 0.698, 1.0, 1, 0, False)
     nothing: tuple[object, ...] = ([], [], "", 0, 0, "", "", [], [])
     return (
         *_header(born_ns),
@@ -192,7 +190,7 @@ def _pack_messages(
     name: str, rows: Sequence[Sequence[object]], counted: bool = False
 ) -> bytes:
     """Return messages of this type one after the other; counted: True to write them as a sequence."""
-    fields = len(rows) * list(leaves(name, RVIZ_DEFINITIONS))
+    fields = len(rows) * list(leaves(name, MARKER_DEFINITIONS))
     values = [x for row in rows for x in row]
     if counted:
         return Layout([Leaf("count", "uint32"), *fields], {}).pack([len(rows), *values])

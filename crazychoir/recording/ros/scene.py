@@ -11,9 +11,8 @@ from enum import IntEnum
 import numpy as np
 
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.recording.mcap.cdr import Definitions, Layout, Leaf, leaves
-from crazychoir.recording.ros.ros import ROS_DEFINITIONS
-from crazychoir.recording.ros.rviz import RVIZ_DEFINITIONS, RVIZ_SETTINGS
+from crazychoir.recording.mcap.cdr import Layout, Leaf, leaves
+from crazychoir.recording.ros.rviz import MARKER_DEFINITIONS, RVIZ_SETTINGS
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.types import Mat
 
@@ -170,36 +169,6 @@ def still_shapes(config: SwarmConfig) -> list[SceneShape]:
 
 SCENE_TYPE = "visualization_msgs/MarkerArray"
 """Type of a scene in a recording."""
-SCENE_DEFINITIONS: Definitions = {
-    **ROS_DEFINITIONS,
-    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec",
-    "std_msgs/ColorRGBA": "float32 r\nfloat32 g\nfloat32 b\nfloat32 a",
-    "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data",
-    "visualization_msgs/UVCoordinate": "float32 u\nfloat32 v",
-    "visualization_msgs/MeshFile": "string filename\nuint8[] data",
-    "visualization_msgs/Marker": """\
-std_msgs/Header header
-string ns
-int32 id
-int32 type
-int32 action
-geometry_msgs/Pose pose
-geometry_msgs/Vector3 scale
-std_msgs/ColorRGBA color
-builtin_interfaces/Duration lifetime
-bool frame_locked
-geometry_msgs/Point[] points
-std_msgs/ColorRGBA[] colors
-string texture_resource
-sensor_msgs/CompressedImage texture
-visualization_msgs/UVCoordinate[] uv_coordinates
-string text
-string mesh_resource
-visualization_msgs/MeshFile mesh_file
-bool mesh_use_embedded_materials""",
-    SCENE_TYPE: "visualization_msgs/Marker[] markers",
-}
-"""The definition of a scene with all messages in it, as in ROS 2 Jazzy."""
 
 
 def pack_scene(shapes: Iterable[SceneShape], born_ns: int) -> bytes:
@@ -226,10 +195,10 @@ def _split(shape: SceneShape) -> list[Mat]:
 def _marker_fields(points: int) -> list[Leaf]:
     """Return the fields of a marker with this number of points."""
     fields = list[Leaf]()
-    for leaf in leaves("visualization_msgs/Marker", RVIZ_DEFINITIONS):
+    for leaf in leaves("visualization_msgs/Marker", MARKER_DEFINITIONS):
         if leaf.path == "points":
             fields.append(Leaf("points count", "uint32"))
-            fields += points * list(leaves("geometry_msgs/Point", RVIZ_DEFINITIONS))
+            fields += points * list(leaves("geometry_msgs/Point", MARKER_DEFINITIONS))
         else:
             fields.append(leaf)
     return fields
@@ -254,7 +223,7 @@ def _marker_values(
         *place,
         *(0.0, 0.0, 0.0, 1.0),
         *size,
-        shape.color,
+        *shape.color,
         *(0, 0),
         True,
         len(drawn),

@@ -14,8 +14,8 @@ from crazychoir.recording.mcap.cdr import schema
 from crazychoir.recording.mcap.file import RecordingEntry, Series, ViewSeries
 from crazychoir.recording.mcap.messages import FORM_BY_VALUE_TYPE
 from crazychoir.recording.ros.ros import ROS_DEFINITIONS, ROS_NAMES, pack_transform
+from crazychoir.recording.ros.rviz import MARKER_DEFINITIONS
 from crazychoir.recording.ros.scene import (
-    SCENE_DEFINITIONS,
     SCENE_TYPE,
     pack_scene,
     still_shapes,
@@ -59,7 +59,7 @@ class FlightViews:
             schema(ROS_NAMES.transform_type, ROS_DEFINITIONS),
         )
         self._scene = _series(
-            SCENE_TOPIC, SCENE_TYPE, schema(SCENE_TYPE, SCENE_DEFINITIONS)
+            SCENE_TOPIC, SCENE_TYPE, schema(SCENE_TYPE, MARKER_DEFINITIONS)
         )
 
     def extend(self, entries: Sequence[RecordingEntry]) -> list[RecordingEntry]:

@@ -7,8 +7,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.recording.mcap.cdr import schema
+from crazychoir.recording.ros.rviz import MARKER_DEFINITIONS
 from crazychoir.recording.ros.scene import (
-    SCENE_DEFINITIONS,
     SCENE_TYPE,
     SceneShape,
     ShapeKind,
@@ -77,7 +77,7 @@ def test_a_still_scene_shows_each_drone_in_its_own_frame():
 
 
 def test_the_schema_in_a_recording_is_read_by_two_decoders_and_has_the_hash_of_ros():
-    text = schema(SCENE_TYPE, SCENE_DEFINITIONS)
+    text = schema(SCENE_TYPE, MARKER_DEFINITIONS)
     found = decoded(KIND, text, pack_scene(still_shapes(CONFIG), NS))
     assert len(found["markers"]) == 7
     types = get_types_from_msg(text, KIND)
