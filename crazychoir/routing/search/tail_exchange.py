@@ -6,8 +6,8 @@ from crazychoir.numerics.kernels import kernel
 from crazychoir.routing.search.ruin import draw_fraction, empty_route, save_route
 from crazychoir.routing.search.tours import (
     KERNEL_OPTIONS,
+    end_route,
     is_route_feasible,
-    refresh_route,
 )
 from crazychoir.types import Words
 
@@ -110,11 +110,7 @@ def _rebuild_route(fleet: Any, tours: Any, step: Any, k: int, size: int) -> None
             v = end
         kept += 1
         tours.stop[k, kept] = v
-    if kept > 0 and tours.stop[k, kept] == end:
-        kept -= 1
-    tours.stop[k, kept + 1] = end
-    tours.stops[k] = kept
-    refresh_route(fleet, tours, k)
+    end_route(fleet, tours, k, kept)
     if not is_route_feasible(fleet, tours, k):
         empty_route(fleet, tours, step, k)
 

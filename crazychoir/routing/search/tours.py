@@ -219,6 +219,20 @@ def is_route_feasible(fleet: Any, tours: Any, k: int) -> bool:
 
 
 @kernel(_nrt=False)
+def end_route(fleet: Any, tours: Any, k: int, kept: int) -> None:
+    """Let route k end after its first `kept` stops, and compute its lengths and loads anew.
+
+    A visit to the depot as the last of these stops is left out.
+    """
+    end = fleet.end[k]
+    if kept > 0 and tours.stop[k, kept] == end:
+        kept -= 1
+    tours.stop[k, kept + 1] = end
+    tours.stops[k] = kept
+    refresh_route(fleet, tours, k)
+
+
+@kernel(_nrt=False)
 def drop_tasks(fleet: Any, tours: Any, k: int, gone: Any) -> None:
     """Remove the tasks marked in `gone` (M,) and empty trips from route k; refresh it."""
     m = len(fleet.load)
@@ -235,11 +249,7 @@ def drop_tasks(fleet: Any, tours: Any, k: int, gone: Any) -> None:
             continue
         kept += 1
         tours.stop[k, kept] = v
-    if kept > 0 and tours.stop[k, kept] == end:
-        kept -= 1
-    tours.stop[k, kept + 1] = end
-    tours.stops[k] = kept
-    refresh_route(fleet, tours, k)
+    end_route(fleet, tours, k, kept)
 
 
 @kernel(**KERNEL_OPTIONS)
