@@ -5,6 +5,7 @@ from typing import Annotated, Any, TypeVar
 import msgspec
 from msgspec import Meta, Struct
 
+from crazychoir.agent.order_times import LONGEST_VELOCITY
 from crazychoir.bus.codec import MAX_PAYLOAD
 from crazychoir.errors import ConfigError
 from crazychoir.planning.piecewise import POLYNOMIAL_DEGREE, Piecewise
@@ -23,8 +24,6 @@ Seconds = Annotated[float, Meta(ge=0.0, le=600.0)]
 """s."""
 Slowdown = Annotated[float, Meta(ge=0.01, le=100.0)]
 """Factor on a duration."""
-LONGEST_VELOCITY = 10.0
-"""s: longest `duration` of a velocity. A drone flies no longer for a script that has ended."""
 A = TypeVar("A", bound="CommandArguments")
 
 

@@ -1,4 +1,4 @@
-"""How long an operator waits for a flight command, by command."""
+"""Times of flight commands that operators and drones share; this module imports nothing."""
 
 ORDER_TIMEOUTS = {
     "arm": 5.0,
@@ -16,3 +16,5 @@ ORDER_TIMEOUTS = {
 
 A flight along a trajectory gets this time to reach the start, beside the duration of the trajectory.
 """
+LONGEST_VELOCITY = 10.0
+"""s: longest `duration` of a velocity. A drone flies no longer for a script that has ended."""

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from crazychoir.agent.command_arguments import LONGEST_VELOCITY
-from crazychoir.agent.order_times import ORDER_TIMEOUTS
+from crazychoir.agent.order_times import LONGEST_VELOCITY, ORDER_TIMEOUTS
 from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_operator
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError

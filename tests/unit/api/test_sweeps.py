@@ -54,8 +54,16 @@ def watch_nothing(ended, count, row):
     """Show no progress."""
 
 
+@pytest.fixture
+def interrupts():
+    """SIGINT interrupts, also where a shell has started pytest in the background, with SIGINT ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def test_a_sweep_has_the_same_rows_interrupted_or_not_by_any_number_of_processes(
-    mission, tmp_path
+    mission, tmp_path, interrupts
 ):
     values = {"seeds": [1, 2], "loss": [0, 0.5], "options": {"height": [0.3, 0.4]}}
     whole = tmp_path / "whole.jsonl"
