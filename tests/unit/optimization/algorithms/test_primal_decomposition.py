@@ -183,7 +183,7 @@ def reference(reference_data):
     return data, blocks
 
 
-@pytest.mark.parametrize("rounds", [60, 180])
+@pytest.mark.parametrize("rounds", [20, 100])
 def test_on_the_reference_problem_the_gap_is_smaller_in_fewer_rounds_in_all(
     reference_data, rounds
 ):
@@ -319,10 +319,12 @@ def test_random_programs_of_all_kinds_are_solved_to_their_optimum(seed):
 
 
 @pytest.mark.slow
-def test_2000_random_programs_are_all_near_their_optimum():
-    found = [off_the_optimum(seed) for seed in range(2000)]
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("first", range(0, 2000, 500))
+def test_500_random_programs_are_all_near_their_optimum(first):
+    found = [off_the_optimum(seed) for seed in range(first, first + 500)]
     found = [off for off in found if off is not None]
-    assert len(found) > 1900
+    assert len(found) > 475
     assert max(found) <= 0.005
 
 
