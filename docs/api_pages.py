@@ -161,9 +161,10 @@ def _modules(name: str) -> Iterator[tuple[str, Path]]:
     if file.name != "__init__.py":
         yield name, file
         return
-    for inner in sorted(file.parent.glob("*.py")):
-        if inner != file:
-            yield f"{name}.{inner.stem}", inner
+    for inner in sorted(file.parent.rglob("*.py")):
+        if inner.name != "__init__.py":
+            path = inner.relative_to(REPOSITORY).with_suffix("")
+            yield ".".join(path.parts), inner
 
 
 def _file(module: str) -> Path:

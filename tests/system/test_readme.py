@@ -293,8 +293,8 @@ def algorithms():
     found = {}
     for room in ("algorithms", "assignment"):
         package = importlib.import_module(f"crazychoir.optimization.{room}")
-        for info in pkgutil.iter_modules(package.__path__):
-            module = importlib.import_module(f"{package.__name__}.{info.name}")
+        for info in pkgutil.walk_packages(package.__path__, f"{package.__name__}."):
+            module = importlib.import_module(info.name)
             found |= {
                 name: one
                 for name, one in inspect.getmembers(module, inspect.isclass)

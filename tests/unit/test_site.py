@@ -152,8 +152,9 @@ def test_every_public_name_has_its_documentation_on_a_page():
 def test_every_algorithm_is_on_its_page(repository):
     text = api_pages.texts()["api/algorithms.md"]
     folder = repository / "crazychoir" / "optimization" / "algorithms"
-    for file in folder.glob("[!_]*.py"):
-        assert f"::: crazychoir.optimization.algorithms.{file.stem}\n" in text
+    for file in folder.rglob("[!_]*.py"):
+        module = ".".join(file.relative_to(repository).with_suffix("").parts)
+        assert f"::: {module}\n" in text
 
 
 def test_a_name_that_a_module_does_not_define_is_refused(monkeypatch):
