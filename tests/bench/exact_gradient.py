@@ -47,7 +47,7 @@ from crazychoir.types import PerNeighbor
 TURNS = 7
 """Turns; the median of each program counts."""
 ROUNDS = 200
-"""Iterations of decent-bench in a turn; ours make as many, less those that send nothing."""
+"""Iterations of decent-bench in a turn. Ours are fewer where an iteration sends nothing."""
 COMMUNICATION_CHANCE = 0.3
 COIN_SEED = 5
 PEER = """
