@@ -18,10 +18,9 @@ CrazyChoirError
 └── Livelock(RuntimeError)         virtual time: the clock stands still
 """
 
-import contextlib
 import sysconfig
 import traceback
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -349,17 +348,25 @@ def describe_exit(end: SystemExit, what: str) -> ConfigError:
     )
 
 
-@contextlib.contextmanager
-def refuse_exit(what: str) -> Iterator[None]:
-    """Run a user's code that must not end the process.
+class refuse_exit:
+    """Run a user's code that must not end the process; one object may be used again and again.
 
     what: that code, in words.
     Raises the ConfigError of `describe_exit` if the code calls sys.exit.
     """
-    try:
-        yield
-    except SystemExit as end:
-        raise describe_exit(end, what) from end
+
+    __slots__ = ("what",)
+
+    def __init__(self, what: str) -> None:
+        self.what = what
+
+    def __enter__(self) -> None:
+        """Begin the user's code."""
+
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
+        """Raise the ConfigError if the code has called sys.exit."""
+        if isinstance(error, SystemExit):
+            raise describe_exit(error, self.what) from error
 
 
 ERROR_MEANINGS: dict[str, str] = {

@@ -71,7 +71,7 @@ class History:
         """
         steps = list(self.cpu.values())
         if len({len(cpu) for cpu in steps}) == 1:
-            return float(sum(map(max, zip(*steps, strict=True))))
+            return float(sum(np.max(steps, axis=0).tolist()))
         return float(max(map(sum, steps)))
 
     def of(self, name: str = "x") -> Any:

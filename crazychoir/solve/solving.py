@@ -16,7 +16,8 @@ from crazychoir.routing.distributed.plain_loop import (
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.schedule import summarise_plan
 from crazychoir.runtime.clock import run_virtual
-from crazychoir.solve.simulate import Run, simulate
+from crazychoir.solve.networked_team import Run
+from crazychoir.solve.simulate import simulate
 from crazychoir.solve.solve_options import DEFAULT_SOLVE_OPTIONS, SolveOptions
 from crazychoir.team.graph import graph_from_name
 

@@ -98,7 +98,7 @@ async def run_algorithm(
                 deadline=deadline,
                 policy=policy,
             )
-    except _AlgorithmEnded as ended:
+    except AlgorithmEnded as ended:
         failed = ended.failed
         # The reason why the neighbours cannot be told is not the error to report.
         with contextlib.suppress(CrazyChoirError):
@@ -128,33 +128,35 @@ async def _run_in_rounds(
     heavy = getattr(algorithm, "heavy", False)
     communicator.open(channel, getattr(algorithm, "joinable", False))
     compute = communicator.port.bus.clock.compute
+    saying = refuse_exit(f"message() of agent {i}")
+    stepping = refuse_exit(f"step() of agent {i}")
     while not algorithm.done:
         try:
-            with refuse_exit(f"message() of agent {i}"):
+            with saying:
                 message = algorithm.message()
         except Exception as error:
-            raise _AlgorithmEnded.at(i, error) from error
+            raise AlgorithmEnded.at(i, error) from error
         try:
             heard = await communicator.neighbors_exchange(
                 message, channel=channel, deadline=deadline, policy=policy
             )
         except CodecError as error:
-            raise _AlgorithmEnded.at(
-                i, _encoding_failure(communicator, channel, error)
+            raise AlgorithmEnded.at(
+                i, describe_encoding(i, communicator.open(channel).sending, error)
             ) from error
         except (PeerLost, ChannelEnded) as error:
-            raise _AlgorithmEnded.by(error) from error
+            raise AlgorithmEnded.by(error) from error
         except AgentFailed as error:
-            raise _AlgorithmEnded(error, error) from error
-        _require_alive(heard)
+            raise AlgorithmEnded(error, error) from error
+        require_alive(heard)
         try:
-            with refuse_exit(f"step() of agent {i}"):
+            with stepping:
                 if heavy:
                     await compute(algorithm.step, heard)
                 else:
                     algorithm.step(heard)
         except Exception as error:
-            raise _AlgorithmEnded.at(i, error, heard) from error
+            raise AlgorithmEnded.at(i, error, heard) from error
 
 
 async def _wake_and_sleep(
@@ -173,7 +175,7 @@ async def _wake_and_sleep(
     while not algorithm.done:
         await clock.sleep(chance.uniform(*pace.sleep), drone=i)
         heard = await communicator.asynchronous_receive(channel=channel)
-        _require_alive(heard)
+        require_alive(heard)
         if getattr(algorithm, "waits", False):
             _require_all(communicator)
         if pace.compute[1] > 0.0:
@@ -185,20 +187,20 @@ async def _wake_and_sleep(
                 else:
                     algorithm.step(heard)
         except Exception as error:
-            raise _AlgorithmEnded.at(i, error, heard) from error
+            raise AlgorithmEnded.at(i, error, heard) from error
         try:
             with refuse_exit(f"message() of agent {i}"):
                 message = algorithm.message()
         except Exception as error:
-            raise _AlgorithmEnded.at(i, error) from error
+            raise AlgorithmEnded.at(i, error) from error
         try:
             await communicator.send(message, channel=channel)
         except CodecError as error:
-            raise _AlgorithmEnded.at(
-                i, _encoding_failure(communicator, channel, error)
+            raise AlgorithmEnded.at(
+                i, describe_encoding(i, communicator.open(channel).sending, error)
             ) from error
     async for _ in _repeat_message(communicator, message, channel, pace):
-        _require_alive(await communicator.asynchronous_receive(channel=channel))
+        require_alive(await communicator.asynchronous_receive(channel=channel))
 
 
 async def _repeat_message(
@@ -226,7 +228,7 @@ async def _send_failure(
     await communicator.close(channel)
 
 
-def _require_alive(heard: Mapping[int, Any]) -> None:
+def require_alive(heard: Mapping[int, Any]) -> None:
     """Raise AgentFailed if a neighbour has sent a Failure in place of its message.
 
     The neighbour has failed itself, or reports another agent's failure.
@@ -234,16 +236,12 @@ def _require_alive(heard: Mapping[int, Any]) -> None:
     for word in heard.values():
         if type(word) is Failure:
             failed = AgentFailed(word.agent, word.reason)
-            raise _AlgorithmEnded(failed, failed)
+            raise AlgorithmEnded(failed, failed)
 
 
-def _encoding_failure(
-    communicator: Communicator, channel: str, error: CodecError
-) -> CodecError:
-    """Return the error for a message that cannot be encoded, with the agent and the round."""
-    return CodecError(
-        f"agent {communicator.id}: message(), round {communicator.open(channel).sending}: {error}"
-    )
+def describe_encoding(i: int, k: int, error: CodecError) -> CodecError:
+    """Return the error for a message of agent i in round k that cannot be encoded."""
+    return CodecError(f"agent {i}: message(), round {k}: {error}")
 
 
 def _require_all(communicator: Communicator) -> None:
@@ -252,7 +250,7 @@ def _require_all(communicator: Communicator) -> None:
     try:
         communicator.exchange.waits.require_present(neighbors)
     except PeerLost as error:
-        raise _AlgorithmEnded.by(error) from error
+        raise AlgorithmEnded.by(error) from error
 
 
 def _word_of_kind(failed: AgentFailed) -> Failure:
@@ -296,21 +294,21 @@ def _message_kind(message: Any) -> str:
     )
 
 
-class _AlgorithmEnded(Exception):
+class AlgorithmEnded(Exception):
     """The algorithm has ended at this agent by a failure that the neighbours must receive.
 
     failed: the error that the neighbours get
     error: the error that this agent raises
     """
 
-    def __init__(self, failed: AgentFailed, error: Exception) -> None:
+    def __init__(self, failed: AgentFailed, error: CrazyChoirError) -> None:
         self.failed = failed
         self.error = error
 
     @classmethod
     def at(
         cls, i: int, error: Exception, heard: Mapping[int, Any] | None = None
-    ) -> "_AlgorithmEnded":
+    ) -> "AlgorithmEnded":
         """Return the end by an error of this agent.
 
         error: raised by the algorithm, or AgentFailed received from a neighbour
@@ -330,7 +328,7 @@ class _AlgorithmEnded(Exception):
         return cls(failed, failed)
 
     @classmethod
-    def by(cls, error: PeerLost | ChannelEnded) -> "_AlgorithmEnded":
+    def by(cls, error: PeerLost | ChannelEnded) -> "AlgorithmEnded":
         """Return the end by a neighbour that will not answer: it counts as the failed agent."""
         failed = (
             error.lost[0] if isinstance(error, PeerLost) else next(iter(error.ended))

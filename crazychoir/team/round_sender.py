@@ -27,6 +27,19 @@ ROUND_TOPIC: Final = MESSAGE_TOPICS.rounds
 """Topic of all messages of rounds."""
 
 
+def encode_each(data: PerNeighbor, to: tuple[int, ...], where: str) -> dict[int, bytes]:
+    """Return the payload of the value for each of these neighbours.
+
+    where: drone and channel, for the text of the error
+    Raises CodecError if there is no value for a neighbour.
+    """
+    if lacking := [j for j in to if j not in data]:
+        raise CodecError(
+            f"{where}: a PerNeighbor of {sorted(data)} has nothing for drone(s) {lacking}"
+        )
+    return {j: encode(data[j]) for j in to}
+
+
 class RoundSender:
     """Sends the rounds of all channels of one drone.
 
@@ -63,12 +76,7 @@ class RoundSender:
     ) -> None:
         """Send a value of its own to each neighbour."""
         k = ch.sending
-        if lacking := [j for j in to if j not in data]:
-            where = f"drone {self._id}: channel {ch.name!r}"
-            raise CodecError(
-                f"{where}: a PerNeighbor of {sorted(data)} has nothing for drone(s) {lacking}"
-            )
-        payloads = {j: encode(data[j]) for j in to}
+        payloads = encode_each(data, to, f"drone {self._id}: channel {ch.name!r}")
         ch.sent[k] = (payloads, to)
         for j, payload in payloads.items():
             message = Message(ROUND_TOPIC, self._id, payload, k, ch.name, flags)

@@ -98,6 +98,9 @@ def find_nan(value: Any) -> str | None:
     """
     if type(value) is float:
         return None if value == value else ""
+    if type(value) is np.ndarray and value.size and value.dtype.kind == "f":
+        greatest = value.item(value.argmax())  # of numpy, nan is the greatest
+        return None if greatest == greatest else _find_array_nan(value)
     if isinstance(value, np.ndarray | np.generic):
         return _find_array_nan(np.asarray(value))
     if isinstance(value, dict):
