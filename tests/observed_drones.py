@@ -35,6 +35,7 @@ class ObserverPlace:
         self.address = PORT_ADDRESSES.first_observer + 1
         self.commander = Commander(self.bus.port(self.address))
         self.replays = False
+        self.delay = 0.0  # s, until a command is done
         self.told: list[Any] = []
         self.stopped: list[int] = []
         for i in self.config.ids:
@@ -54,6 +55,7 @@ class ObserverPlace:
         if i == 8 or verb == "task_list":
             raise Refused("drone 8", "it is on the ground")
         self.told.append((verb, arguments))
+        await self.clock.sleep(self.delay)
         return "landed"
 
     def publish(self, x: float) -> None:

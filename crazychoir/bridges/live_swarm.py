@@ -1,12 +1,14 @@
 """A running swarm as a bridge sees it: what the page of the dashboard knows and can command."""
 
 from crazychoir.bridges.operator_services import ServiceDesk
+from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.dashboard.command_place import PagePlace
 from crazychoir.dashboard.commands import CommandDesk
 from crazychoir.dashboard.event_log import EventLog
 from crazychoir.dashboard.model import SwarmModel
 from crazychoir.dashboard.operator import PageOperator
 from crazychoir.dashboard.polling import Overview, TaskBoard
+from crazychoir.numerics.math3d import yaw_of
 from crazychoir.runtime.actor import Actor
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.types import State
@@ -59,6 +61,13 @@ class LiveSwarm:
                 state, age = last
                 found[i] = state, max(0, now_ns - round(age * NS_PER_SECOND))
         return found
+
+    def heading(self, i: int) -> float | None:
+        """Return the yaw of drone i in rad; None without a state that is new enough."""
+        last = self.model.state(i)
+        if last is None or last[1] > DRONE_TOPICS.state.max_age:
+            return None
+        return yaw_of(last[0].q)
 
     def watch(self, watched: bool) -> None:
         """Ask the drones for routes and tasks, or do not."""

@@ -4,12 +4,24 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
+
+from crazychoir.agent.order_times import LONGEST_VELOCITY
 from crazychoir.dashboard.commands import CommandDesk
 from crazychoir.dashboard.operator import PageOperator
 from crazychoir.dashboard.receipts import Receipt
-from crazychoir.dashboard.requests import GoTo, Order, Stop, decode_page_message
+from crazychoir.dashboard.requests import (
+    GoTo,
+    Move,
+    Order,
+    Steer,
+    Stop,
+    decode_page_message,
+)
+from crazychoir.dashboard.stick import is_release
 from crazychoir.errors import ConfigError
 from crazychoir.files.path_texts import json_bytes
+from crazychoir.types import Point
 
 SERVICE_PREFIX = "/crazychoir/"
 """Prefix of the names of all services."""
@@ -35,6 +47,20 @@ PLACE_FIELDS = {
     },
 }
 """JSON schemas of the fields of a goal."""
+
+VELOCITY_FIELDS = {
+    "v": {
+        "type": "array",
+        "items": {"type": "number"},
+        "description": "(3,) m/s, world.",
+    },
+    "yaw_rate": {"type": "number", "description": "rad/s; without it, 0."},
+    "duration": {
+        "type": "number",
+        "description": f"s, then the drones rest; at most {LONGEST_VELOCITY:g}, without it 1.",
+    },
+}
+"""JSON schemas of the fields of a velocity."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +89,7 @@ OPERATOR_SERVICES = (
     OperatorService("stop", {"ask": "stop", "clear": False}),
     OperatorService("clear_stop", {"ask": "stop", "clear": True}),
     OperatorService("go_to", {"ask": "go-to"}, DRONES_FIELD | PLACE_FIELDS),
+    OperatorService("velocity", {"ask": "move"}, DRONES_FIELD | VELOCITY_FIELDS),
 )
 """All services."""
 _SERVICE_BY_PATH = {service.path: service for service in OPERATOR_SERVICES}
@@ -99,9 +126,25 @@ class ServiceDesk:
                 f"service {path}", sorted(unknown), ", ".join(service.fields)
             )
         message = decode_page_message(json_bytes({**request, **service.message}))
-        if not isinstance(message, Order | Stop | GoTo):
+        if not isinstance(message, Order | Stop | GoTo | Move):
             raise TypeError(f"{path} stands for {message}")
         return self._operator.command(message)
+
+    def steer(self, drone: int, v: Point, yaw_rate: float) -> Receipt | None:
+        """Let a drone fly with one velocity of a stream, as with the stick of the page.
+
+        It rests STICK_TIMES.velocity_duration s after the last one, or when zeros come.
+
+        drone: id
+        v: (3,) m/s, world
+        yaw_rate: rad/s
+        Returns the receipt of the whole flight, or None for zeros while the drone does not fly by hand.
+        Raises ConfigError, or msgspec.ValidationError, for a velocity out of bounds.
+        """
+        if is_release(v, yaw_rate) and not self._desk.flies_by_hand(drone):
+            return None
+        told = {"ask": "steer", "drone": drone, "v": list(v), "yaw_rate": yaw_rate}
+        return self._operator.command(msgspec.json.decode(json_bytes(told), type=Steer))
 
 
 def describe_receipt(receipt: Receipt) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Commands from ROS 2: services for an operator's commands, and goals as poses.
+"""Commands from ROS 2: services for an operator's commands, goals as poses, and streams of velocities.
 
 A service takes the same way as a command of the web page. Its answer is a receipt: whether all
 drones have done it, and what each drone says.
@@ -12,17 +12,22 @@ from functools import partial
 from typing import Any, Protocol
 
 import msgspec
-import numpy as np
 
-from crazychoir.bridges.operator_services import SERVICE_PREFIX, ServiceDesk
+from crazychoir.bridges.live_swarm import LiveSwarm
+from crazychoir.bridges.operator_services import SERVICE_PREFIX, describe_receipt
 from crazychoir.bridges.ros_node import Outside, RosNode
+from crazychoir.bridges.ros_requests import (
+    GOAL_TYPE,
+    VELOCITY_TYPE,
+    read_goal,
+    read_velocity,
+)
+from crazychoir.dashboard.receipts import Receipt
 from crazychoir.errors import ConfigError
-from crazychoir.numerics.math3d import yaw_of
-from crazychoir.recording.mcap.cdr import Layout, Leaf, leaves, unpack_values
+from crazychoir.recording.mcap.cdr import Layout, Leaf
 from crazychoir.recording.ros.rmw_zenoh import EndpointKind, reply_attachment
-from crazychoir.recording.ros.ros import ROS_DEFINITIONS
-from crazychoir.recording.ros.rviz import RVIZ_SETTINGS
-from crazychoir.runtime.clock import NS_PER_SECOND, Clock
+from crazychoir.runtime.clock import NS_PER_SECOND
+from crazychoir.runtime.throttle import Throttle
 
 SWARM_SERVICES = (
     *("arm", "take_off", "start", "hold", "go", "land", "home"),
@@ -32,11 +37,19 @@ SWARM_SERVICES = (
 DRONE_SERVICES = ("take_off", "hold", "go", "land", "stop")
 """Services for one drone."""
 SERVICE_TYPE = "std_srvs/srv/Trigger"
-GOAL_TYPE = "geometry_msgs/msg/PoseStamped"
 GOAL_PERIOD = 0.1
 """Seconds in which several goals of a drone count as one, the newest."""
+VELOCITY_PERIOD = 0.04
+"""Seconds in which several velocities of a drone count as one, the newest."""
+NOT_FLOWN = (
+    ConfigError,
+    msgspec.ValidationError,
+    struct.error,
+    IndexError,
+    UnicodeDecodeError,
+)
+"""Errors of a message that cannot be read or flown."""
 _ANSWER_LAYOUT = Layout([Leaf("success", "bool"), Leaf("message", "string")], {})
-_GOAL_FIELDS = list(leaves("geometry_msgs/PoseStamped", ROS_DEFINITIONS))
 
 log = logging.getLogger(__name__)
 
@@ -65,36 +78,40 @@ class CommandSession(Outside, Protocol):
 
 
 class RosCommands:
-    """Offers services and reads goals, for all drones and for each.
+    """Offers services for all drones and for each, and reads goals and velocities of each.
 
-    desk: carries out the commands
+    live: the swarm, which carries out the commands
     outside: session with the ROS network
     node: node that offers the services
     ids: the drones
-    clock: clock of the swarm; commands are given on its event loop
     """
 
     def __init__(
         self,
-        desk: ServiceDesk,
+        live: LiveSwarm,
         outside: CommandSession,
         node: RosNode,
         ids: list[int],
-        clock: Clock,
     ) -> None:
-        self._desk = desk
+        self._live = live
+        self._desk = live.services
         self._outside = outside
         self._node = node
-        self._clock = clock
+        self._clock = live.place.clock
         self._loop = asyncio.get_running_loop()
         self._tasks: set[asyncio.Task[None]] = set()
-        self._goals: dict[int, bytes] = {}
+        self._newest: dict[tuple[str, int], bytes] = {}
+        self._throttle = Throttle()
+        self._flights: dict[int, Receipt] = {}
         for name in SWARM_SERVICES:
             self._offer(SERVICE_PREFIX + name, name, {})
         for i in ids:
             for name in DRONE_SERVICES:
                 self._offer(f"/drone{i}/{name}", name, {"drones": [i]})
-            self._read_goals(i)
+            self._read(i, "goal_pose", GOAL_TYPE, GOAL_PERIOD, self._give_goal)
+            self._read(
+                i, "cmd_vel", VELOCITY_TYPE, VELOCITY_PERIOD, self._give_velocity
+            )
 
     def close(self) -> None:
         """Cancel all waiting."""
@@ -111,14 +128,36 @@ class RosCommands:
 
         self._outside.serve(service.key, handle)
 
-    def _read_goals(self, i: int) -> None:
-        """Read the goals of drone i."""
+    def _read(
+        self,
+        i: int,
+        name: str,
+        kind: str,
+        period: float,
+        give: Callable[[int, bytes], None],
+    ) -> None:
+        """Read a topic of drone i; `give` gets the newest message once in a period of s."""
         topic = self._node.announce(
-            f"/drone{i}/goal_pose", GOAL_TYPE, EndpointKind.SUBSCRIPTION
+            f"/drone{i}/{name}", kind, EndpointKind.SUBSCRIPTION
         )
 
+        def give_newest() -> None:
+            data = self._newest.pop((name, i))
+            try:
+                give(i, data)
+            except NOT_FLOWN as error:
+                text = f"drone {i}: its {name} is not flown: {error}"
+                if self._throttle.due(self._clock.now(), text):
+                    log.warning(text)
+
+        def take(data: bytes) -> None:
+            if (name, i) not in self._newest:
+                due_ns = self._clock.now_ns() + round(period * NS_PER_SECOND)
+                self._clock.call_at(due_ns, give_newest)
+            self._newest[name, i] = data
+
         def receive(data: bytes) -> None:
-            self._loop.call_soon_threadsafe(self._take_goal, i, data)
+            self._loop.call_soon_threadsafe(take, data)
 
         self._outside.subscribe(topic.key, receive)
 
@@ -145,27 +184,10 @@ class RosCommands:
             receipt = await self._desk.call(path, request)
         except (ConfigError, msgspec.ValidationError) as error:
             return False, str(error)
-        words = (
-            f"drone {i}: {said['answer']}: {said['says']}".removesuffix(": ")
-            for i, said in receipt["answers"].items()
-        )
-        return receipt["done"], "; ".join(words)
+        return receipt["done"], _answers_in_words(receipt)
 
-    def _take_goal(self, i: int, data: bytes) -> None:
-        """Keep the newest goal of drone i, and fly to it within GOAL_PERIOD."""
-        if i not in self._goals:
-            due_ns = self._clock.now_ns() + round(GOAL_PERIOD * NS_PER_SECOND)
-            self._clock.call_at(due_ns, self._give_goal, i)
-        self._goals[i] = data
-
-    def _give_goal(self, i: int) -> None:
-        data = self._goals.pop(i)
-        try:
-            goal = read_goal(data)
-        except (ConfigError, struct.error, IndexError, UnicodeDecodeError) as error:
-            log.warning("drone %d: its goal is not flown to: %s", i, error)
-            return
-        self._begin(self._fly_to, i, goal)
+    def _give_goal(self, i: int, data: bytes) -> None:
+        self._begin(self._fly_to, i, read_goal(data))
 
     async def _fly_to(self, i: int, goal: dict[str, Any]) -> None:
         path = f"{SERVICE_PREFIX}go_to"
@@ -173,21 +195,31 @@ class RosCommands:
         if not done:
             log.warning("drone %d: its goal %s: %s", i, goal["p"], words)
 
+    def _give_velocity(self, i: int, data: bytes) -> None:
+        """Fly a velocity of a stream; log how a flight by hand ends, if it is not flown."""
+        asked = read_velocity(data, i)
+        yaw = 0.0 if asked.in_world else self._live.heading(i)
+        if yaw is None:
+            raise ConfigError(
+                "cmd_vel", "a heading that is not known", "a drone that is seen"
+            )
+        receipt = self._desk.steer(i, asked.in_the_world(yaw), asked.yaw_rate)
+        if receipt is not None and receipt is not self._flights.get(i):
+            self._flights[i] = receipt
+            self._begin(self._watch_flight, i, receipt)
+
+    async def _watch_flight(self, i: int, receipt: Receipt) -> None:
+        described = describe_receipt(await self._live.desk.settled(receipt))
+        if not described["done"]:
+            log.warning("drone %d: cmd_vel: %s", i, _answers_in_words(described))
+
     def _now_ns(self) -> int:
         return self._clock.now_ns() + self._clock.epoch_ns
 
 
-def read_goal(data: bytes) -> dict[str, Any]:
-    """Return the fields of a go-to for a geometry_msgs/PoseStamped: its place and its yaw.
-
-    Raises ConfigError for another frame than the world, and struct.error, IndexError or
-    UnicodeDecodeError for bytes of another message.
-    """
-    values = unpack_values(_GOAL_FIELDS, data)
-    frame = values["header.frame_id"]
-    if frame not in ("", RVIZ_SETTINGS.frame):
-        raise ConfigError("goal_pose: frame_id", frame, RVIZ_SETTINGS.frame)
-    place = [values[f"pose.position.{axis}"] for axis in "xyz"]
-    q = np.array([values[f"pose.orientation.{axis}"] for axis in "xyzw"])
-    has_attitude = 0.5 < np.linalg.norm(q) < 2.0
-    return {"p": place} | ({"yaw": yaw_of(q)} if has_attitude else {})
+def _answers_in_words(receipt: dict[str, Any]) -> str:
+    """Return what each drone says in a described receipt."""
+    return "; ".join(
+        f"drone {i}: {said['answer']}: {said['says']}".removesuffix(": ")
+        for i, said in receipt["answers"].items()
+    )

@@ -89,6 +89,10 @@ class CommandDesk:
             return receipt
         return self._stick.steer(drone, v, yaw_rate)
 
+    def flies_by_hand(self, drone: int) -> bool:
+        """Return whether a drone flies with velocities of `steer`."""
+        return self._stick.flies(drone)
+
     def stop(
         self, drones: Iterable[int] | None = None, clear: bool = False, key: str = ""
     ) -> Receipt:

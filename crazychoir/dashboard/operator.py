@@ -33,6 +33,7 @@ from crazychoir.dashboard.requests import (
     Impair,
     Load,
     Message,
+    Move,
     Order,
     PlanTrajectory,
     Save,
@@ -71,7 +72,7 @@ class PageOperator:
         Raises ConfigError with the reason if it cannot be done.
         """
         match message:
-            case Order() | Stop() | GoTo() | Steer():
+            case Order() | Stop() | GoTo() | Move() | Steer():
                 self.command(message)
             case Draw() | PlanTrajectory():
                 self._plan = None
@@ -98,7 +99,7 @@ class PageOperator:
                 self.board.begin("task_cancel", str(j), id=j)
         return None
 
-    def command(self, message: Order | Stop | GoTo | Steer) -> Receipt:
+    def command(self, message: Order | Stop | GoTo | Move | Steer) -> Receipt:
         """Give a command that needs no preparation, and return its receipt.
 
         Raises ConfigError with the reason if it cannot be given.
@@ -110,6 +111,8 @@ class PageOperator:
                 return self.desk.stop(self._those(drones), clear, key)
             case Steer(drone, v, yaw_rate):
                 return self.desk.steer(self._checked((drone,))[0], v, yaw_rate)
+            case Move():
+                return self._move(message)
         return self._go_to(message)
 
     def _impair(self, message: Impair) -> None:
@@ -157,6 +160,17 @@ class PageOperator:
             goals,
             words=f"{list(message.p)} m",
             each=lambda i: {"p": goals[i], "yaw": message.yaw},
+        )
+
+    def _move(self, message: Move) -> Receipt:
+        v = list(message.v)
+        duration = message.duration
+        return self.desk.order(
+            "velocity",
+            self._checked(message.drones),
+            duration + ORDER_TIMEOUTS["velocity"],
+            f"{v} m/s, {duration:g} s",
+            each=lambda i: {"v": v, "yaw_rate": message.yaw_rate, "duration": duration},
         )
 
     async def _draw(

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
+from crazychoir.agent.order_times import LONGEST_VELOCITY
 from crazychoir.agent.sketch import SKETCH_LIMITS
 
 MOST_DRONES = 1000
@@ -83,6 +84,19 @@ class Steer(Ask, frozen=True):
     """(3,) m/s, world."""
     yaw_rate: Angle = 0.0
     """rad/s."""
+
+
+class Move(Ask, frozen=True):
+    """Fly drones with a velocity for some seconds, then let them rest."""
+
+    drones: Ids
+    """Ids of the drones."""
+    v: tuple[Speed, Speed, Speed]
+    """(3,) m/s, world."""
+    yaw_rate: Angle = 0.0
+    """rad/s."""
+    duration: Annotated[float, Meta(gt=0.0, le=LONGEST_VELOCITY)] = 1.0
+    """s."""
 
 
 class Draw(Ask, frozen=True):
@@ -186,6 +200,7 @@ Message = (
     | Stop
     | GoTo
     | Steer
+    | Move
     | Draw
     | PlanTrajectory
     | Fly

@@ -1,4 +1,4 @@
-"""Flight by hand: the velocities of a page's stick or arrow keys, sent to one drone."""
+"""Flight by hand: a stream of velocities of a stick, arrow keys or a program, sent to one drone."""
 
 import asyncio
 from collections.abc import Iterable
@@ -28,6 +28,11 @@ class StickTimes:
 STICK_TIMES = StickTimes()
 
 
+def is_release(v: Point, yaw_rate: float) -> bool:
+    """Return whether a velocity (3,) and a yaw rate are the zeros that end a flight by hand."""
+    return not (any(v) or yaw_rate)
+
+
 @dataclass
 class _StickFlight:
     """The flight of one drone by hand, from the first velocity to the release."""
@@ -36,6 +41,8 @@ class _StickFlight:
     """Its receipt."""
     sending: asyncio.Task[None] | None = None
     """Sends the newest velocity."""
+    is_released: bool = False
+    """Whether the newest velocity is the zero that ends the flight."""
 
 
 class StickSender:
@@ -54,17 +61,27 @@ class StickSender:
         self._flights: dict[int, _StickFlight] = {}
 
     def steer(self, drone: int, v: Point, yaw_rate: float) -> Receipt:
-        """Send a velocity (3,) m/s, world, and a yaw rate in rad/s; zeros end the flight by hand."""
+        """Send a velocity (3,) m/s, world, and a yaw rate in rad/s; zeros end the flight by hand.
+
+        A stream may repeat its zeros: only the first ones are sent.
+        """
         flight = self._flights.get(drone)
         if flight is None:
             receipt = self._book.add(STICK_VERB, (drone,), "by hand")
             flight = self._flights[drone] = _StickFlight(receipt)
+        is_released = is_release(v, yaw_rate)
+        if is_released and flight.is_released:
+            return flight.receipt
+        flight.is_released = is_released
         if flight.sending is not None:
             flight.sending.cancel()
-        is_released = not (any(v) or yaw_rate)
         work = self._send(drone, flight, list(map(float, v)), yaw_rate, is_released)
         flight.sending = asyncio.get_running_loop().create_task(work)
         return flight.receipt
+
+    def flies(self, drone: int) -> bool:
+        """Return whether a drone flies by hand."""
+        return drone in self._flights
 
     def end(self, drones: Iterable[int], by: str) -> None:
         """Send no more to these drones, because of another command."""

@@ -40,6 +40,16 @@ def goal_of(peer, x, y, z):
     }
 
 
+def twist_of(x, y, z):
+    stamp = made("builtin_interfaces/msg/Time", sec=0, nanosec=0)
+    none = made("geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+    linear = made("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+    return {
+        "header": made("std_msgs/msg/Header", stamp=stamp, frame_id="drone1"),
+        "twist": made("geometry_msgs/msg/Twist", linear=linear, angular=none),
+    }
+
+
 async def test_foxglove_and_ros_show_six_drones_and_fly_them(tmp_path, compiled):
     async with flying(six(processes=1), tmp_path / "team") as team:
         await team.phase("on ground", seconds=100.0)
@@ -86,6 +96,9 @@ async def fly_by_both(peer, bridge, server, layout):
         goals = await asyncio.to_thread(
             peer.publisher, "/drone1/goal_pose", "geometry_msgs/msg/PoseStamped"
         )
+        velocities = await asyncio.to_thread(
+            peer.publisher, "/drone1/cmd_vel", "geometry_msgs/msg/TwistStamped"
+        )
         await asyncio.sleep(0.3)
         place = np.array([0.3, -0.7, 1.2])
         goals.publish(**goal_of(peer, *place.tolist()))
@@ -99,10 +112,22 @@ async def fly_by_both(peer, bridge, server, layout):
             60.0,
             lambda: str(position()),
         )
+        for _ in range(10):  # of a stream of 1 s, then the drone rests by itself
+            velocities.publish(**twist_of(0.3, 0.0, 0.0))
+            await asyncio.sleep(0.1)
+        await asyncio.sleep(1.5)
+        rested = position()
+        ahead = np.array([0.4, 0.0, 0.0])
+        assert rested == pytest.approx(place + ahead, abs=0.2)
+        moves = {"drones": [1], "v": [-0.4, 0.0, 0.0], "duration": 1.0}
+        moved = await client.call("/crazychoir/velocity", key=key, **moves)
+        assert moved["done"], moved
+        await asyncio.sleep(1.0)
+        assert rested[0] - 0.6 < position()[0] < rested[0] - 0.2
         seen = {one["child_frame_id"]: one for one in client.last("/tf")["transforms"]}
         assert len(seen) == 6
         assert list(seen["drone1"]["translation"].values()) == pytest.approx(
-            place.tolist(), abs=0.15
+            position().tolist(), abs=0.15
         )
         entities = {one["id"] for one in client.last("/scene")["entities"]}
         assert {"fence", "drone5 arms", "trail of drone 1"} <= entities

@@ -53,7 +53,7 @@ def ros(
                 await serve(window, bridge, ids, rate, seconds)
                 return
             live = LiveSwarm(window)
-            given = RosCommands(live.services, outside, bridge.node, ids, window.clock)
+            given = RosCommands(live, outside, bridge.node, ids)
             try:
                 await serve(window, bridge, ids, rate, seconds)
             finally:

@@ -23,6 +23,7 @@ ROS_DEFINITIONS: Definitions = {
 std_msgs/Header header
 string child_frame_id
 geometry_msgs/Transform transform""",
+    "geometry_msgs/TwistStamped": "std_msgs/Header header\ngeometry_msgs/Twist twist",
     "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms",
 }
 

@@ -116,6 +116,8 @@ async def test_a_service_gives_a_command_and_answers_with_its_receipt():
         place.told.clear()
         goals = {"drones": [3], "p": [0.0, 0.5, 1.0], "yaw": 1.0}
         await client.call("/crazychoir/go_to", key="secret", **goals)
+        moves = {"drones": [3], "v": [0.3, 0.0, 0.0], "duration": 2.0}
+        await client.call("/crazychoir/velocity", key="secret", **moves)
         await client.call("/crazychoir/stop", key="secret", drones=[8])
     assert done == {
         "done": True,
@@ -123,7 +125,11 @@ async def test_a_service_gives_a_command_and_answers_with_its_receipt():
     }
     refusal = {"answer": "refused", "says": "it is on the ground"}
     assert (both["done"], both["answers"]["8"]) == (False, refusal)
-    assert place.told == [("go-to", {"p": [0.0, 0.5, 1.0], "yaw": 1.0})]
+    velocity = {"v": [0.3, 0.0, 0.0], "yaw_rate": 0.0, "duration": 2.0}
+    assert place.told == [
+        ("go-to", {"p": [0.0, 0.5, 1.0], "yaw": 1.0}),
+        ("velocity", velocity),
+    ]
     assert place.stopped == [8]
 
 

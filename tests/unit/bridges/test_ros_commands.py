@@ -10,8 +10,10 @@ from virtual_time import virtual
 from zenoh_ros2_sdk.attachment import Attachment
 
 from crazychoir.bridges.live_swarm import LiveSwarm
-from crazychoir.bridges.ros_commands import GOAL_PERIOD, RosCommands, read_goal
+from crazychoir.bridges.ros_commands import GOAL_PERIOD, VELOCITY_PERIOD, RosCommands
 from crazychoir.bridges.ros_node import RosNode
+from crazychoir.bridges.ros_requests import read_goal, read_velocity
+from crazychoir.dashboard.stick import STICK_TIMES
 from crazychoir.errors import ConfigError
 from crazychoir.runtime.clock import run_virtual
 
@@ -59,8 +61,21 @@ def opened(clock):
     place, session = ObserverPlace(clock), Session()
     live = LiveSwarm(place)
     node = RosNode(session, 0, "crazychoir")
-    commands = RosCommands(live.services, session, node, [3, 8], clock)
+    commands = RosCommands(live, session, node, [3, 8])
     return place, session, commands
+
+
+def twist(v=(1.0, 0.0, 0.0), yaw_rate=0.0, frame="world"):
+    kinds = STORE.types
+    stamp = kinds["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    x, y, z = v
+    linear = kinds["geometry_msgs/msg/Vector3"](x=x, y=y, z=z)
+    angular = kinds["geometry_msgs/msg/Vector3"](x=0.0, y=0.0, z=yaw_rate)
+    message = kinds["geometry_msgs/msg/TwistStamped"](
+        header=kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=frame),
+        twist=kinds["geometry_msgs/msg/Twist"](linear=linear, angular=angular),
+    )
+    return bytes(STORE.serialize_cdr(message, "geometry_msgs/msg/TwistStamped"))
 
 
 def goal(x=1.0, yaw=0.0, frame="world", q=None):
@@ -142,6 +157,84 @@ def test_a_goal_that_cannot_be_flown_to_is_said_and_left(data, caplog):
     assert "drone 3: its goal" in caplog.text
 
 
+@virtual
+async def test_a_stream_of_velocities_is_one_flight_by_hand(clock):
+    place, session, _ = opened(clock)
+    for k in range(1, 11):
+        session.topics["/drone3/cmd_vel"](twist((0.1 * k, 0.0, 0.0), 0.2))
+        await clock.sleep(0.01)
+    await clock.sleep(2.0 * VELOCITY_PERIOD)
+    assert {verb for verb, _ in place.told} == {"velocity"}
+    assert 2 <= len(place.told) <= 4, "of quick messages the newest counts"
+    told = place.told[-1][1]
+    assert told["v"] == [1.0, 0.0, 0.0]
+    assert (told["yaw_rate"], told["duration"]) == (0.2, STICK_TIMES.velocity_duration)
+
+
+@virtual
+async def test_zeros_end_a_flight_by_hand_once_and_disturb_no_other_flight(clock):
+    place, session, _ = opened(clock)
+    session.topics["/drone3/cmd_vel"](twist((0.0, 0.0, 0.0)))
+    await clock.sleep(1.0)
+    assert place.told == [], "a drone that does not fly by hand"
+    place.delay = 0.3
+    session.topics["/drone3/cmd_vel"](twist())
+    for _ in range(20):
+        await clock.sleep(0.05)
+        session.topics["/drone3/cmd_vel"](twist((0.0, 0.0, 0.0)))
+    assert [told["v"][0] for _, told in place.told] == [1.0, 0.0]
+
+
+@pytest.mark.parametrize("frame", ["", "drone3"])
+def test_a_velocity_in_the_frame_of_the_drone_turns_with_its_heading(frame):
+    async def main(clock):
+        place, session, _ = opened(clock)
+        place.publish(0.0)  # heading along the y axis
+        session.topics["/drone3/cmd_vel"](twist((1.0, 0.5, 0.2), frame=frame))
+        await clock.sleep(2.0 * VELOCITY_PERIOD)
+        return place.told[0][1]["v"]
+
+    assert run_virtual(main) == pytest.approx([-0.5, 1.0, 0.2])
+
+
+@pytest.mark.parametrize(
+    ("data", "why"),
+    [
+        (twist(frame="map"), "frame_id"),
+        (twist(frame=""), "heading"),
+        (twist()[:30], "cmd_vel is not flown"),
+        (twist((float("nan"), 0.0, 0.0)), "cmd_vel is not flown"),
+        (twist((50.0, 0.0, 0.0)), "cmd_vel is not flown"),
+    ],
+)
+def test_a_velocity_that_cannot_be_flown_is_said_once_a_second(data, why, caplog):
+    async def main(clock):
+        place, session, _ = opened(clock)
+        for _ in range(15):
+            session.topics["/drone3/cmd_vel"](data)
+            await clock.sleep(0.1)
+        return place.told
+
+    assert run_virtual(main) == []
+    assert len(caplog.messages) == 2
+    assert why in caplog.text
+
+
+def test_refusal_of_a_velocity_is_logged(caplog):
+    async def main(clock):
+        _, session, _ = opened(clock)
+        session.topics["/drone8/cmd_vel"](twist())
+        await clock.sleep(1.0)
+
+    run_virtual(main)
+    assert "drone 8: cmd_vel: drone 8: refused: it is on the ground" in caplog.text
+
+
+def test_roll_and_pitch_rates_do_not_count():
+    asked = read_velocity(twist((0.1, 0.2, 0.3), 0.4), 3)
+    assert (asked.v, asked.yaw_rate, asked.in_world) == ((0.1, 0.2, 0.3), 0.4, True)
+
+
 def test_a_goal_without_an_attitude_keeps_the_yaw():
     assert read_goal(goal(q=(0.0, 0.0, 0.0, 0.0))) == {"p": [1.0, 0.5, 1.0]}
     with pytest.raises(ConfigError, match="world"):
@@ -154,6 +247,6 @@ async def test_a_node_tells_ros_of_all_its_services(clock):
     services = [token for token in session.tokens if "/SS/" in token]
     assert len(services) == len(session.services) == 9 + 2 * 5
     goals = [token for token in session.tokens if "/MS/" in token]
-    assert len(goals) == len(session.topics) == 2
+    assert len(goals) == len(session.topics) == 2 * 2
     numbers = [token.split("/")[4] for token in session.tokens]
     assert len(set(numbers)) == len(numbers)

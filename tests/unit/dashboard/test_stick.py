@@ -49,6 +49,19 @@ async def test_one_receipt_stands_for_the_whole_flight_by_hand(clock):
 
 
 @virtual
+async def test_repeated_zeros_of_a_stream_let_the_flight_by_hand_end(clock):
+    swarm = Flown(clock)
+    receipt = swarm.desk.steer(0, (0.1, 0.0, 0.0), 0.0)
+    for _ in range(20):
+        await clock.sleep(0.02)
+        if swarm.desk.flies_by_hand(0):
+            assert swarm.desk.steer(0, STILL, 0.0) is receipt
+    assert not swarm.desk.flies_by_hand(0)
+    assert receipt.answers == {0: (ANSWER_TEXTS.done, "flown")}
+    assert [told["v"][0] for _, told in swarm.obeyed] == [0.1, 0.0]
+
+
+@virtual
 async def test_refusal_of_the_drone_is_shown(clock):
     swarm = Flown(clock)
     receipt = swarm.desk.steer(1, (0.1, 0.0, 0.0), 0.0)
