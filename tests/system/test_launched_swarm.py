@@ -5,6 +5,7 @@ import runpy
 
 import pandas as pd
 import pytest
+from pages import block
 
 from crazychoir.api import OrderFailed, launch, read
 
@@ -24,6 +25,20 @@ def test_script_launches_a_swarm_flies_it_and_reads_its_track(tmp_path):
     assert swarm.result["success"], swarm.result
     end = read(record).track(1)["position"][-1]
     assert end == pytest.approx([0.6, 0.3, 0.0], abs=0.1)
+
+
+def test_hello_world_of_the_page_from_crazyswarm2_takes_off_and_lands(
+    tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    code = block("deploy/FROM_CRAZYSWARM2.md", "hello.py")
+    assert len(code.splitlines()) <= 16, "as many as in Crazyswarm2"
+    waits = "time.sleep(5.0)"
+    assert waits in code
+    (tmp_path / "hello.py").write_text(code.replace(waits, "height = cf.state().p[2]"))
+    found = runpy.run_path("hello.py")
+    assert found["height"] == pytest.approx(1.0, abs=0.1)
+    assert found["swarm"].result["success"], found["swarm"].result
 
 
 def read_script(repository):

@@ -35,8 +35,16 @@ TYPE_KEYS = {
     "connection",
 }
 """Keys of a type of robot that are looked at."""
-ALL_KEYS = {"firmware_params", "firmware_logging"}
-"""Keys for all robots that are taken over."""
+ALL_KEYS = {"firmware_params", "firmware_logging", "broadcasts"}
+"""Keys for all robots that are looked at."""
+CAMERA_KEYS = {"enabled", "tracking", "marker", "dynamics"}
+"""Keys of a type's motion capture that are looked at."""
+BATTERY_KEYS = {"voltage_warning", "voltage_critical"}
+"""Keys of a type's battery that are looked at."""
+LOGGING_KEYS = {"enabled", "default_topics", "custom_topics"}
+"""Keys of the logging of a robot, a type or all robots that are taken over."""
+KNOWN_CONNECTIONS = ("crazyflie", "none")
+"""Connections of a robot: a Crazyflie by its uri, or an object that cameras see only."""
 SET_HERE = {
     "commander.enHighLevel": "the planner on board needs no switch here",
     "kalman.resetEstimation": "done at each connection",
@@ -181,6 +189,9 @@ class _RobotReader:
         known = {"robots", "robot_types", "all", "fileversion"}
         self.remarks.add_rest(self.path.name, "", self.raw, known)
         self.remarks.add_rest(self.path.name, "all", self.common, ALL_KEYS)
+        for name, value in self._find_broadcasts().items():
+            why = "no broadcasts: each drone gets packets of its own"
+            self.remarks.add(self.path.name, f"all.broadcasts.{name}", value, why)
         flown = {
             name: table
             for name, table in self.robots.items()
@@ -198,6 +209,9 @@ class _RobotReader:
         self.swarm.logs = self._build_logs(topics)
         self.swarm.fence = _build_fence([row["home"] for row in self.swarm.drones])
         self._choose_sender()
+
+    def _find_broadcasts(self) -> dict[str, Any]:
+        return find_table(self.common, "broadcasts", f"{self.path.name}: all")
 
     def _is_flown(self, name: str, table: object) -> bool:
         """Return whether a robot is a drone with a radio."""
@@ -261,9 +275,14 @@ class _RobotReader:
         self.remarks.add(
             file, key, kind, f"platform {row['platform']} is taken: correct it if not"
         )
+        connection = table.get("connection", KNOWN_CONNECTIONS[0])
+        if connection not in KNOWN_CONNECTIONS:
+            why = f"not known here; {KNOWN_CONNECTIONS[0]} is taken"
+            self.remarks.add(file, f"{key}.connection", connection, why)
         if table.get("big_quad"):
             self.remarks.add(file, f"{key}.big_quad", True, "no such platform here")
         cameras = find_table(table, "motion_capture", f"{file}: {key}")
+        self.remarks.add_rest(file, f"{key}.motion_capture", cameras, CAMERA_KEYS)
         if not cameras or cameras.get("enabled") is False:
             row["pose"] = "onboard"
         if cameras.get("tracking", "vendor") != "vendor" or "marker" in cameras:
@@ -274,6 +293,7 @@ class _RobotReader:
                         file, f"{key}.motion_capture.{name}", cameras[name], why
                     )
         battery = find_table(table, "battery", f"{file}: {key}")
+        self.remarks.add_rest(file, f"{key}.battery", battery, BATTERY_KEYS)
         if "voltage_warning" in battery:
             where = f"{file}: {key}.battery.voltage_warning"
             row["battery_warning"] = find_number(battery["voltage_warning"], where)
@@ -326,6 +346,7 @@ class _RobotReader:
             logging = find_table(level, "firmware_logging", f"{self.path.name}: {key}")
             is_on = bool(logging.get("enabled", is_on))
             path = f"{key}.firmware_logging"
+            self.remarks.add_rest(self.path.name, path, logging, LOGGING_KEYS)
             where = f"{self.path.name}: {path}"
             for topic, row in find_table(logging, "default_topics", where).items():
                 if topic == "scan":

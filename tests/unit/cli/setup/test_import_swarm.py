@@ -74,7 +74,7 @@ def test_cameras_keep_their_type_and_address():
 @pytest.mark.parametrize(
     "line",
     [
-        "crazyflies.yaml: all.broadcasts.num_repeats = 15: no equivalent",
+        "crazyflies.yaml: all.broadcasts.num_repeats = 15: no broadcasts",
         'crazyflies.yaml: robots.cf14.reference_frame = "lab": no equivalent',
         'crazyflies.yaml: robots.wand = "tracked": no drone',
         "crazyflies.yaml: all.firmware_params.oldGroup.oldName = 3: not a parameter",
@@ -87,6 +87,22 @@ def test_cameras_keep_their_type_and_address():
 def test_what_has_no_equivalent_is_listed_with_file_and_key(line):
     _, swarm = imported()
     assert any(one.startswith(line) for one in swarm.remarks.lines)
+
+
+def test_keys_that_the_format_does_not_have_are_listed_in_each_table(tmp_path):
+    motion = "{motion_capture: {tracking: vendor}}"
+    more = """\
+{connection: udp, motion_capture: {tracking: vendor, color: red}, battery: {voltage_low: 3.0},
+ firmware_logging: {topics: 1}}"""
+    lines = import_text(tmp_path, ROBOTS.replace(motion, more)).remarks.lines
+    for path in (
+        'connection = "udp"',
+        'motion_capture.color = "red"',
+        "battery.voltage_low = 3.0",
+        "firmware_logging.topics = 1",
+    ):
+        where = f"crazyflies.yaml: robot_types.a.{path}: "
+        assert any(line.startswith(where) for line in lines), path
 
 
 def test_a_swarm_to_try_has_virtual_drones_and_no_decks():
