@@ -306,10 +306,14 @@ def _format_short_value(value: Any) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-def build_status_table(score: "FlightScore") -> Group:
+def build_status_table(
+    score: "FlightScore", names: Mapping[int, str] | None = None
+) -> Group:
     """Return the live view of a swarm: one line for each drone, and the notes of the drones below.
 
     A narrow terminal leaves out two counters.
+
+    names: name of each drone that has one
     """
     counters = (
         ("sent", "lost", "resent")
@@ -321,9 +325,10 @@ def build_status_table(score: "FlightScore") -> Group:
     below = []
     marked = False
     for i in score.ids:
+        drone = f"{i} {(names or {}).get(i, '')}".rstrip()
         status = score.statuses.get(i)
         if status is None:
-            table.add_row(str(i), "", Text("not heard yet", "dim"))
+            table.add_row(drone, "", Text("not heard yet", "dim"))
             continue
         silent = _list_silent_drones(status, score.statuses)
         marked = marked or bool(silent)
@@ -334,7 +339,7 @@ def build_status_table(score: "FlightScore") -> Group:
             *(str(getattr(status, name)) for name in counters),
         ]
         table.add_row(
-            str(i),
+            drone,
             *(
                 _fit_on_line(text)
                 for text in (status.phase, status.task, *numbers, silent)

@@ -20,7 +20,9 @@ from crazychoir.launch.console import ERROR_CONSOLE
 if TYPE_CHECKING:
     from crazychoir.launch.observer import Answers, Window
 
-DronesOption = Annotated[str, typer.Option("--drones", help="Which, as 3,5-7.")]
+DronesOption = Annotated[
+    str, typer.Option("--drones", help="Which, as 3,5-7 or by name.")
+]
 OffsetOption = Annotated[
     str, typer.Option(help="From one drone to the next, as 0,0.5,0 (m).")
 ]
@@ -60,13 +62,13 @@ def go_to(
 
     p = parse_metres("PLACE", place)
     step = parse_metres("--offset", offset)
-    chosen = tuple(parse_drones(drones) or ())
+    choice = parse_drones(drones)
     given = {"yaw": yaw, "duration": duration, "relative": relative, "speed": velocity}
     seconds = ORDER_TIMEOUTS["go-to"] + duration if wait is None else wait
 
     async def work(window: "Window") -> "Answers":
-        window.check("--drones", chosen)
         config = window.config
+        chosen = tuple(choice.find(config))
         goals = (
             {i: list(p) for i in chosen}
             if relative
@@ -142,14 +144,14 @@ def fly(
     )
 
     step = parse_metres("--offset", offset)
-    chosen = tuple(parse_drones(drones) or ())
+    choice = parse_drones(drones)
     told: dict[int, dict[str, Any]] = {}
     spent = ORDER_TIMEOUTS["fly"]
 
     async def work(window: "Window") -> "Answers":
         nonlocal spent
-        window.check("--drones", chosen)
         config = window.config
+        chosen = tuple(choice.find(config))
         plan = plan_file(file, config, height, speed, slower, reverse)
         messages = flight_messages(plan.path, chosen, step, config, relative)
         if on_board:

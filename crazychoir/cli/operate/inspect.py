@@ -177,6 +177,7 @@ def status(
     as_json: JsonOption = False,
 ) -> None:
     """Show the state of each drone."""
+    names: dict[int, str] = {}
 
     async def work(window: "Window") -> "tuple[FlightScore, str]":
         # The agents may be starting just now on other hosts.
@@ -185,6 +186,7 @@ def status(
         there = await window.find()
         score = window.score()
         ends = window.clock.now() + STATUS_TIMEOUT
+        names.update({drone.id: drone.name for drone in window.config.drones})
         while any(i not in score.statuses for i in there) and window.clock.now() < ends:
             await window.clock.sleep(0.02)
         if watch:
@@ -193,14 +195,14 @@ def status(
             with Live(console=ANSWER_CONSOLE, refresh_per_second=4) as live:
                 async for _ in window.clock.ticks(4.0):
                     title = _describe_swarm(window.config)
-                    live.update(Group(title, build_status_table(score)))
+                    live.update(Group(title, build_status_table(score, names)))
         return score, _describe_swarm(window.config)
 
     score, title = run_as_observer(swarm, work, as_json)
     if as_json:
         write_json(dict(sorted(score.statuses.items())))
     else:
-        ANSWER_CONSOLE.print(Group(title, build_status_table(score)))
+        ANSWER_CONSOLE.print(Group(title, build_status_table(score, names)))
 
 
 def _describe_swarm(config: "SwarmConfig") -> str:

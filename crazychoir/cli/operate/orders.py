@@ -9,7 +9,7 @@ from rich.table import Table
 
 from crazychoir.agent.order_times import LONGEST_VELOCITY, ORDER_TIMEOUTS
 from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_operator
-from crazychoir.config.number_lists import parse_spans
+from crazychoir.cli.shared.drone_choice import DroneChoice, parse_choice
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import ANSWER_CONSOLE, exit_with_error, write_json
@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from crazychoir.launch.observer import Answers, Window
 
 DronesOption = Annotated[
-    str | None, typer.Option("--drones", help="Only these drones, as 3,5-7; else all.")
+    str | None,
+    typer.Option("--drones", help="Only these drones, as 3,5-7 or by name; else all."),
 ]
 
 
@@ -121,7 +122,9 @@ def land(
 
 def velocity(
     v: Annotated[str, typer.Argument(help="Velocity, as 0.3,0,0 (m/s).")],
-    drones: Annotated[str, typer.Option("--drones", help="Which, as 3,5-7.")],
+    drones: Annotated[
+        str, typer.Option("--drones", help="Which, as 3,5-7 or by name.")
+    ],
     duration: Annotated[
         float,
         options.seconds(
@@ -157,12 +160,12 @@ def _give_order(
 
     arguments: of the command; its `duration` prolongs the wait
     """
-    chosen = parse_drones(drones)
+    choice = None if drones is None else parse_drones(drones)
     spent: float = arguments.get("duration", 0.0)
     seconds = ORDER_TIMEOUTS[verb] + spent if wait is None else wait
 
     async def work(window: "Window") -> "Answers":
-        window.check("--drones", chosen or ())
+        chosen = None if choice is None else choice.find(window.config)
         return await window.order(verb, chosen, seconds, **arguments)
 
     print_answers(run_as_operator(swarm, work, as_json), as_json)
@@ -179,10 +182,10 @@ def stop(
     A stop of all drones stays in force until it is cleared. Exits with 0 only
     if every drone obeys.
     """
-    chosen = parse_drones(drones)
+    choice = None if drones is None else parse_drones(drones)
 
     async def work(window: "Window") -> "Answers":
-        window.check("--drones", chosen or ())
+        chosen = None if choice is None else choice.find(window.config)
         return await window.emergency_stop(clear, chosen)
 
     answers: Answers = run_as_operator(swarm, work, as_json)
@@ -225,12 +228,10 @@ def _conclude(rows: Rows, as_json: bool) -> None:
     )
 
 
-def parse_drones(text: str | None) -> list[int] | None:
-    """Return the drones of a text such as "3,5-7"; None, for all drones, without a text."""
-    if text is None:
-        return None
+def parse_drones(text: str) -> DroneChoice:
+    """Return the drones of a text such as "3,5-7,cf231"."""
     try:
-        return parse_spans(text, "--drones", "drones with commas between, as 3,5-7")
+        return parse_choice(text, "--drones")
     except ConfigError as error:
         exit_with_error(error, as_json=False)
 

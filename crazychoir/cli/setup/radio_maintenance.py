@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 SwarmOption = Annotated[str | None, typer.Option(help="Swarm file; else ./swarm.toml.")]
 DronesOption = Annotated[
-    str | None, typer.Option("--drones", help="Only these drones, as 3,5-7; else all.")
+    str | None,
+    typer.Option("--drones", help="Only these drones, as 3,5-7 or by name; else all."),
 ]
 Row = dict[str, Any]
 """What is known of a drone, by column."""
@@ -129,14 +130,15 @@ def _maintain(
 ) -> None:
     """Do the work with each drone, and print the conditions; exit with 0 only if none failed."""
     set_up_logging()
-    chosen = parse_drones(drones)
+    choice = None if drones is None else parse_drones(drones)
 
     def maintain() -> dict[str, Row]:
         from crazychoir.config.swarm_config import find_swarm
         from crazychoir.launch.console import require_reached
 
         config, which = find_swarm(swarm)
-        ids = chosen if chosen is not None else list(config.topology.reached)
+        reached = list(config.topology.reached)
+        ids = reached if choice is None else choice.find(config)
         if not ids:
             raise ConfigError(which, "no drone with a radio", "uris udp:// or radio://")
         for i in ids:

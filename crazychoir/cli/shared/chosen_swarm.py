@@ -9,13 +9,12 @@ from crazychoir.api.flight_request import (
     refuse_operator,
     replace_swarm_values,
 )
+from crazychoir.cli.shared.drone_choice import parse_choice
 from crazychoir.cli.shared.option_names import naming_options
 from crazychoir.config.addresses import Addresses
-from crazychoir.config.number_lists import parse_spans
 from crazychoir.config.swarm_config import SwarmConfig, find_swarm
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission import has_hook, load_mission
-from crazychoir.team.graph import describe_ids
 
 
 def configured_swarm(
@@ -114,11 +113,7 @@ def drones_to_start(only: str | None, config: SwarmConfig) -> tuple[int, ...]:
     """
     if only is None:
         return config.ids
-    allowed = f"drones {describe_ids(config.ids)}, with commas between, as 3,5-7"
-    here = sorted(parse_spans(only, "--only", allowed))
-    for i in here:
-        if i not in config.ids:
-            raise ConfigError("--only", only, allowed, f"There is no drone {i}.")
+    here = sorted(parse_choice(only, "--only").find(config))
     for group in Addresses(config).groups():
         if not (set(group) <= set(here) or set(group).isdisjoint(here)):
             do = "Name all of them or none, or correct `processes` in the swarm file."

@@ -141,6 +141,12 @@ def test_a_drone_of_the_live_table_takes_one_line_and_nothing_is_cut_but_notes(
     assert max(map(len, lines)) <= width
 
 
+def test_status_shows_the_name_of_a_drone_beside_its_id():
+    rows = printed(show.build_status_table(flying(), {0: "cf231", 1: ""})).splitlines()
+    assert rows[2].startswith("0 cf231 ")
+    assert rows[3].split()[0] == "1"
+
+
 def test_a_drone_that_is_back_on_the_ground_is_not_missed():
     rows = printed(show.build_status_table(flying())).splitlines()[2:]
     assert rows[1].rstrip().endswith("2?, 0!"), "not 4, which has ended"

@@ -83,13 +83,13 @@ def test_operator_chooses_one_of_several_runs(monkeypatch, capsys):
     assert capsys.readouterr().err == "swarm default\n"
 
 
-def test_drones_are_told_by_numbers_and_ranges():
-    assert parse_drones(None) is None
-    assert parse_drones("3, 5-7,3") == [3, 5, 6, 7]
+def test_drones_are_told_by_numbers_ranges_and_names():
+    assert parse_drones("3, 5-7,3,cf231").words == (3, 5, 6, 7, "cf231")
 
 
 @pytest.mark.parametrize(
-    ("text", "said"), [("7-5", "5-7"), ("3,7-5", "5-7"), ("x", "3,5-7"), ("", "3,5-7")]
+    ("text", "said"),
+    [("7-5", "5-7"), ("3,7-5", "5-7"), ("x y", "3,5-7"), ("", "3,5-7")],
 )
 def test_what_names_no_drones_is_refused(text, said, capsys):
     with pytest.raises(typer.Exit) as ended:
