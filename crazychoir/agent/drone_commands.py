@@ -55,6 +55,7 @@ class DroneCommands:
         self._queries: Mapping[str, CommandMethod] = {
             "param_get": self._list_parameters,
             "firmware_get": partial(self._ask_firmware, "firmware_get"),
+            "firmware_list": partial(self._ask_firmware, "firmware_list"),
             "task_list": partial(self._ask_mission, "task_list"),
             "overview": self._overview,
             "ping": self._ping,

@@ -31,6 +31,7 @@ MOST_PARAMETERS = 40
 FIRMWARE_VERBS = (
     "firmware_get",
     "firmware_set",
+    "firmware_list",
     "trajectory_upload",
     "trajectory_start",
 )
@@ -118,7 +119,7 @@ class FirmwareAccess:
         self._on_board = on_board
         self._setup = setup
         self._link = link
-        methods = (self._get, self._set, self._upload, self._start)
+        methods = (self._get, self._set, self._list, self._upload, self._start)
         self.requests: Mapping[str, Callable[[Arguments], Awaitable[Any]]] = dict(
             zip(FIRMWARE_VERBS, methods, strict=True)
         )
@@ -156,6 +157,10 @@ class FirmwareAccess:
                 f"drone {self._setup.drone}",
                 f"parameter {name} = {arguments['value']!r}: a number is allowed",
             ) from None
+
+    async def _list(self, arguments: Arguments) -> dict[str, tuple[str, bool]]:
+        """Return the type of each parameter, and whether it can be set; no packet is sent."""
+        return self._firmware().describe_parameters()
 
     async def _upload(self, arguments: Arguments) -> str:
         """Upload a trajectory into the memory of the drone."""

@@ -122,6 +122,15 @@ class ConnectedFirmware:
         self._parameter(name)
         return [name]
 
+    def describe_parameters(self) -> dict[str, tuple[str, bool]]:
+        """Return, by name, the type of each parameter and whether it can be set."""
+        toc = self.connection.cf.param.toc.toc
+        return {
+            f"{group}.{item}": (element.ctype, element.access != element.RO_ACCESS)
+            for group, items in sorted(toc.items())
+            for item, element in sorted(items.items())
+        }
+
     async def set_all(self, values: Mapping[str, float]) -> None:
         """Set several parameters, one after the other."""
         for name, value in values.items():

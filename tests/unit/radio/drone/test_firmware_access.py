@@ -97,6 +97,16 @@ async def test_a_parameter_is_set_in_flight_and_read_back(clock):
     assert len(group) > 3
 
 
+@virtual
+async def test_all_parameters_are_listed_with_type_and_access(clock):
+    drone, _ = connected(clock, Hangar())
+    listed = await requests_of(drone)["firmware_list"]({})
+    assert len(listed) > 200
+    assert listed["led.bitmask"] == ("uint8_t", True)
+    assert listed["locSrv.extPosStdDev"] == ("float", True)
+    assert listed["cpu.flash"] == ("uint16_t", False)
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
