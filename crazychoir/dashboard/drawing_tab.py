@@ -8,13 +8,15 @@ from crazychoir.dashboard.layout import button, choice, field, row, text
 
 @dataclass(frozen=True, slots=True)
 class DrawingTabDefaults:
-    """The help of the drawing tab, and the default height of a drawing."""
+    """The texts of the drawing tab, and the default height of a drawing."""
 
-    help_text: str = (
-        "Draw, in one stroke or several; straight flights join them. Thin is what was drawn, thick what will be flown. "
-        "Choose in the table which drones fly it. A trajectory of Crazyswarm (CSV) starts at the height below."
+    hint: str = (
+        "Draw, in one stroke or several; straight flights join them. Thin is what was drawn, "
+        "thick what the drones fly that you choose in the table."
     )
-    """Text above the canvas."""
+    """Hint of the tab."""
+    file_help: str = "A trajectory of Crazyswarm (CSV) starts at the height above."
+    """Help for files."""
     height_above_hover: float = 0.7
     """m: default height of a drawing above drones that hover where they took off."""
     distance_below_fence: float = 0.3
@@ -36,7 +38,7 @@ def build_drawing_tab(about: dict[str, Any]) -> None:
         2,
     )
     text(
-        f'<p class="help">{DRAWING_TAB.help_text}</p><canvas id="sketch" role="img" '
+        '<canvas id="sketch" role="img" '
         'aria-label="Drawing of a path, x to the right, y up; a file can be loaded instead"></canvas>'
     )
     with row():
@@ -47,7 +49,7 @@ def build_drawing_tab(about: dict[str, Any]) -> None:
         '<p id="plan" role="status">Nothing is drawn.</p><canvas id="profile" role="img" '
         'aria-label="Speed and acceleration on the way"></canvas>'
     )
-    text("<h3>How it is flown</h3>")
+    text("<h2>How it is flown</h2>")
     with row():
         text(
             field("height", "Height", height, "m", step=0.1)
@@ -90,7 +92,7 @@ def build_drawing_tab(about: dict[str, Any]) -> None:
             + field("offset_y", "Offset y", 0.5, "m", step=0.1)
             + field("offset_z", "Offset z", 0, "m", step=0.1)
         )
-    text("<h3>The drawing</h3>")
+    text("<h2>The drawing</h2>")
     with row():
         text(field("area", "Shown", 4, "m", "range", min=1, max=20, step=1))
         button("Save CSV", "sketch.save('csv')", "outline")
@@ -99,3 +101,4 @@ def build_drawing_tab(about: dict[str, Any]) -> None:
             '<span class="field"><label for="file">Load CSV or SVG</label>'
             '<input id="file" type="file" accept=".csv,.svg"></span>'
         )
+    text(f'<p class="help">{DRAWING_TAB.file_help}</p>')

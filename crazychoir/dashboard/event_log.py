@@ -1,4 +1,4 @@
-"""The page's log: messages of drones, changes of their state, and commands; the newest lines."""
+"""The logs of the page: messages of drones, changes of their state, and commands; the newest lines."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -10,15 +10,13 @@ from crazychoir.runtime.clock import Clock
 Level = Literal["info", "warning", "error"]
 MOST_LOG_LINES = 500
 """Number of lines that are kept."""
-FIRMWARE_PREFIX = "firmware: "
-"""Begin of a line of the console of a drone's firmware."""
 ERROR_WORDS = ("failed", "hangs", "late by")
 """Words that mark an error: a part of an agent has failed, or a process's loop hangs."""
 
 
 @dataclass(frozen=True)
 class LogLine:
-    """One line of the log."""
+    """One line of a log."""
 
     number: int
     """Number of the line, from 1."""
@@ -50,14 +48,14 @@ class EventLog:
     def told(self, i: int, text: str, grave: bool = False) -> None:
         """Add a message of drone i.
 
-        A message about a command, and a line of the firmware's console, have level info. Another
-        message is a warning, or an error if it is grave or contains one of ERROR_WORDS.
+        A message about a command has level info. Another message is a warning, or an error if it
+        is grave or contains one of ERROR_WORDS.
         """
         bare = text.removeprefix(f"drone {i}: ")
         trouble: Level = (
             "error" if grave or any(word in bare for word in ERROR_WORDS) else "warning"
         )
-        is_news = bare.startswith((COMMANDED_PREFIX, FIRMWARE_PREFIX))
+        is_news = bare.startswith(COMMANDED_PREFIX)
         self.add(bare, "info" if is_news else trouble, i)
 
     def after(self, number: int) -> list[LogLine]:

@@ -40,6 +40,11 @@ def choice(name: str, label: str, options: dict[str, str]) -> str:
     return f'<span class="field"><label for="{name}">{escape(label)}</label><select id="{name}">{rows}</select></span>'
 
 
+def lines(name: str, label: str) -> str:
+    """Return a list of lines as HTML; a screen reader tells the new ones."""
+    return f'<div role="log" aria-label="{label}"><ul id="{name}" class="lines"></ul></div>'
+
+
 def button(label: str, action: str, look: str = "", **more: Any) -> Any:
     """Add a button that calls a function of static/page.js."""
     made = ui.button(label, **more).props(f'no-caps {look} data-action="{action}"')
@@ -62,13 +67,22 @@ def card(kind: str, label: str) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def panel(name: str) -> Iterator[None]:
-    """Place the content in the panel of the tab `name`."""
+def panel(name: str, is_shown: bool) -> Iterator[None]:
+    """Place the content in the panel of the tab `name`; `is_shown`: when the page opens."""
     props = (
         f'id="panel-{name}" role="tabpanel" aria-labelledby="tab-{name}" tabindex="0"'
+        f"{'' if is_shown else ' hidden'}"
     )
     with ui.element("div").classes("panel").props(props):
         yield
+
+
+def hint(name: str, words: str) -> None:
+    """Add the hint of the tab `name`; static/hints.js shows it until it is dismissed."""
+    text(
+        f'<p class="hint" data-hint="{name}" hidden>{escape(words)} '
+        '<button type="button">Got it</button></p>'
+    )
 
 
 def tabs(names: dict[str, str]) -> None:

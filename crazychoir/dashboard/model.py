@@ -39,6 +39,8 @@ class PageDataLimits:
 PAGE_DATA = PageDataLimits()
 
 
+FIRMWARE_PREFIX = "firmware: "
+"""Begin of a line of the console of a drone's firmware, after the name of the drone."""
 LINK_STATUS_TIMEOUT = DRONE_TOPICS.link.max_age + 1.0 / PAGE_DATA.link_rate
 """Seconds after which the last message about a radio link is too old to be used."""
 FRAME_COLUMNS = 17
@@ -82,6 +84,8 @@ class SwarmModel:
         self.address = address
         self.config = config
         self.watch = watch
+        self.console = EventLog(bus.clock)
+        """Newest lines of the consoles of the drones' firmware."""
         self.drones = {i: LastMessages() for i in config.ids}
         self._plans: dict[
             int, dict[int, tuple[float, float]]
@@ -108,7 +112,7 @@ class SwarmModel:
             )
             self._read(DRONE_TOPICS.result, i, partial(self._hear_result, i))
             self._read(DRONE_TOPICS.log, i, partial(self._hear_log, i))
-            self._read(DRONE_TOPICS.console, i, partial(self._hear_log, i))
+            self._read(DRONE_TOPICS.console, i, partial(self._hear_console, i))
 
     def _read(
         self,
@@ -168,6 +172,10 @@ class SwarmModel:
 
     def _hear_log(self, i: int, line: str, age: float) -> None:
         self.watch.told(i, line)
+
+    def _hear_console(self, i: int, line: str, age: float) -> None:
+        text = line.removeprefix(f"drone {i}: ").removeprefix(FIRMWARE_PREFIX)
+        self.console.add(text, drone=i)
 
     # Reporting ----------------------------------------------------------------------------
 

@@ -21,6 +21,7 @@ from crazychoir.config.network import impairment_changes, rules_in_words
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import LinkTable
 from crazychoir.dashboard.commands import CommandDesk
+from crazychoir.dashboard.firmware_parameters import FirmwareParameters
 from crazychoir.dashboard.polling import TaskBoard
 from crazychoir.dashboard.receipts import Receipt
 from crazychoir.dashboard.requests import (
@@ -31,12 +32,15 @@ from crazychoir.dashboard.requests import (
     GoTo,
     Ids,
     Impair,
+    ListParameters,
     Load,
     Message,
     Move,
     Order,
     PlanTrajectory,
+    ReadParameters,
     Save,
+    SetParameter,
     Steer,
     Stop,
     Strokes,
@@ -63,6 +67,7 @@ class PageOperator:
         self.config = config
         self.desk = desk
         self.board = board
+        self._parameters = FirmwareParameters(desk)
         self._plan: PlannedSketch | None = None
         self._drawn, self._planning = 0, asyncio.Lock()
 
@@ -95,6 +100,15 @@ class PageOperator:
                 self.board.begin(
                     "task_add", words, pickup=pickup, delivery=delivery, load=load
                 )
+            case ListParameters(drone):
+                self._checked((drone,))
+                return partial(self._parameters.list_names, drone)
+            case ReadParameters(drone, name):
+                self._checked((drone,))
+                return partial(self._parameters.read, drone, name)
+            case SetParameter(drone, name, value):
+                self._checked((drone,))
+                return partial(self._parameters.change, drone, name, value)
             case CancelTask(j):
                 self.board.begin("task_cancel", str(j), id=j)
         return None

@@ -11,11 +11,14 @@ import nicegui
 from nicegui import ui
 
 from crazychoir.dashboard import drawing_tab
+from crazychoir.dashboard.firmware_tabs import build_console_tab, build_parameters_tab
 from crazychoir.dashboard.layout import (
     button,
     card,
     choice,
     field,
+    hint,
+    lines,
     panel,
     row,
     tabs,
@@ -42,7 +45,21 @@ STICK_HELP = (
     "shoulder button and move the sticks. The drone stops at each release."
 )
 """Help for flights by hand."""
+FIRST_TAB = "fly"
+"""Tab that is shown when the page opens."""
 STICK_SPEED = 0.5  # m/s, at first, of flights by hand
+
+
+@dataclass(frozen=True, slots=True)
+class Tab:
+    """A tab of the page."""
+
+    label: str
+    """Its label."""
+    hint: str
+    """What an operator does in it, shown until it is dismissed."""
+    build: Callable[[], None]
+    """Adds its content."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +94,53 @@ class Page:
     def __init__(self, about: dict[str, Any]) -> None:
         self.about = about
         self.swarm = str(about["swarm"])
-        self.panels: dict[str, tuple[str, Callable[[], None]]] = {
-            "fly": ("Fly", self._fly),
-            "draw": ("Draw", partial(drawing_tab.build_drawing_tab, about)),
-            "tasks": ("Tasks", _build_tasks),
-            "network": ("Network", _build_network),
-            "plots": ("Plots", self._plots),
-            "log": ("Log", _build_log),
+        self.tabs = {
+            "fly": Tab(
+                "Fly",
+                "Choose drones in the table below; without a choice a command is for all. "
+                "The space key stops all motors at any time.",
+                self._fly,
+            ),
+            "draw": Tab(
+                "Draw",
+                drawing_tab.DRAWING_TAB.hint,
+                partial(drawing_tab.build_drawing_tab, about),
+            ),
+            "tasks": Tab(
+                "Tasks",
+                "Tick the box, and click on the floor of the room to add a task while "
+                "the drones fly.",
+                _build_tasks,
+            ),
+            "network": Tab(
+                "Network",
+                "Move a slider, and press Apply, to see how the swarm flies with losses "
+                "and delays.",
+                _build_network,
+            ),
+            "plots": Tab(
+                "Plots",
+                "Curves begin when you open the page. Choose drones in the table to see "
+                "theirs alone.",
+                self._plots,
+            ),
+            "log": Tab(
+                "Log",
+                "Commands, changes of state and warnings of all drones, the newest first.",
+                _build_log,
+            ),
+            "console": Tab(
+                "Console",
+                "Lines that the firmware prints since the server of this page started. "
+                "Simulated drones have no firmware; those with a uri have.",
+                partial(build_console_tab, about),
+            ),
+            "parameters": Tab(
+                "Parameters",
+                "Open a group to read its values. A new value takes effect at once, also "
+                "in flight, and is read back.",
+                partial(build_parameters_tab, about),
+            ),
         }
 
     def build(self) -> None:
@@ -91,14 +148,15 @@ class Page:
         ui.add_body_html(PAGE_HTML.head)
         ui.colors(primary="#0b5cad", positive="#1a7f37", negative="#c0182b")
         self._top()
-        with ui.element("main").classes("board"):
+        with ui.element("div").classes("board"):
             with card("view", "view of the room"):
                 text(f'<div id="scene"></div>{PAGE_HTML.link_legend}')
             with card("side", "controls"):
-                tabs({name: label for name, (label, _) in self.panels.items()})
-                for name, (_, build) in self.panels.items():
-                    with panel(name):
-                        build()
+                tabs({name: tab.label for name, tab in self.tabs.items()})
+                for name, tab in self.tabs.items():
+                    with panel(name, is_shown=name == FIRST_TAB):
+                        hint(name, tab.hint)
+                        tab.build()
             with card("all", "drones"):
                 text('<table id="drones"></table>')
 
@@ -158,7 +216,10 @@ class Page:
 
     def _plots(self) -> None:
         ids = {str(i): f"drone {i}" for i in self.about["ids"]}
-        text(f'<h2>Plots</h2>{choice("plotted", "Of", ids)}<div id="plots"></div>')
+        text(
+            '<h2>Batteries and links of the drones</h2><div id="swarm-plots"></div>'
+            f'<h2>One drone</h2>{choice("plotted", "Of", ids)}<div id="plots"></div>'
+        )
 
 
 def _build_tasks() -> None:
@@ -202,4 +263,4 @@ def _build_log() -> None:
     levels = choice(
         "level", "From level", {name: name for name in ("info", "warning", "error")}
     )
-    text(f'<h2>Log</h2>{levels}<ul id="log" class="lines" role="log"></ul>')
+    text(f"<h2>Log</h2>{levels}{lines('log', 'log')}")

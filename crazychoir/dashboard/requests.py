@@ -26,6 +26,10 @@ Angle = Annotated[float, Meta(ge=-7.0, le=7.0)]
 """rad."""
 Speed = Annotated[float, Meta(ge=-20.0, le=20.0)]
 """m/s."""
+ParameterName = Annotated[str, Meta(min_length=1, max_length=60)]
+"""Name of a parameter of the firmware, or of a group."""
+ParameterValue = Annotated[float, Meta(ge=-3.5e38, le=3.5e38)]
+"""A number that may fit into a float32; the firmware's type limits it further."""
 MOST_TEXT = 200_000
 """Largest number of characters of a file."""
 Row = tuple[Annotated[float, Meta(ge=0.0, le=36_000.0)], Metres, Metres]
@@ -195,6 +199,33 @@ class CancelTask(Ask, frozen=True, tag="cancel-task"):
     """Id of the task."""
 
 
+class ListParameters(Ask, frozen=True, tag="list-parameters"):
+    """Return the names, types and access of all parameters of a drone's firmware."""
+
+    drone: Id
+    """Id of the drone."""
+
+
+class ReadParameters(Ask, frozen=True, tag="read-parameters"):
+    """Return the value of a parameter of a drone's firmware, or the values of a group."""
+
+    drone: Id
+    """Id of the drone."""
+    name: ParameterName
+    """The parameter, as led.bitmask, or the group, as led."""
+
+
+class SetParameter(Ask, frozen=True, tag="set-parameter"):
+    """Set a parameter of a drone's firmware, and return the value that it then has."""
+
+    drone: Id
+    """Id of the drone."""
+    name: ParameterName
+    """The parameter, as led.bitmask."""
+    value: ParameterValue
+    """The new value."""
+
+
 Message = (
     Order
     | Stop
@@ -209,6 +240,9 @@ Message = (
     | Impair
     | AddTask
     | CancelTask
+    | ListParameters
+    | ReadParameters
+    | SetParameter
 )
 """Any message of a page."""
 _MESSAGE_DECODER = msgspec.json.Decoder(Message)

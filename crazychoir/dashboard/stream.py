@@ -213,7 +213,8 @@ class PageStream(Actor):
     async def _tell(self, socket: Socket) -> None:
         await socket.send_text(_json_text({"about": self.model.about()}))
         told = 0
-        line = 0
+        logs = {"log": self.watch, "console": self.model.console}
+        lines = dict.fromkeys(logs, 0)
         version = 0
         frame = b""
         while True:
@@ -227,12 +228,13 @@ class PageStream(Actor):
                 await socket.send_text(
                     _json_text({"receipts": [asdict(receipt) for receipt in receipts]})
                 )
-            if self.watch.count > line:
-                lines = self.watch.after(line)
-                line = self.watch.count
-                await socket.send_text(
-                    _json_text({"log": [asdict(one) for one in lines]})
-                )
+            for kind, watch in logs.items():
+                if watch.count > lines[kind]:
+                    fresh = watch.after(lines[kind])
+                    lines[kind] = watch.count
+                    await socket.send_text(
+                        _json_text({kind: [asdict(one) for one in fresh]})
+                    )
             if self.tables != told:
                 told = self.tables
                 await socket.send_text(self.table.decode())

@@ -10,6 +10,7 @@ from typing import Any
 
 from playwright.async_api import Page, TimeoutError, WebSocketRoute, async_playwright
 
+TABS = ("fly", "draw", "tasks", "network", "plots", "log", "console", "parameters")
 CHROMIUM = shutil.which("chromium")
 Row = dict[str, Any]
 FLAGS = [
@@ -63,6 +64,10 @@ class Wire:
         return json.dumps(
             {kind: self.news.get(kind, value) for kind, value in news.items()}
         )
+
+    def tell(self, **news: Any) -> None:
+        """Tell the page news, as its server would."""
+        self.page.send(json.dumps(news))
 
     async def cut(self) -> None:
         await self.page.close()

@@ -12,7 +12,7 @@ for package in ("nicegui", "playwright"):
         reason="the page in a browser needs: pip install 'crazychoir[dashboard,test]'",
     )
 
-from system.browsers import CHROMIUM, Wire, browser, draw_word, says  # noqa: E402 - see above
+from system.browsers import CHROMIUM, TABS, Wire, browser, draw_word, says  # noqa: E402 - see above
 from system.pages import COLUMNS, dashboard, six  # noqa: E402
 
 pytestmark = [
@@ -312,6 +312,29 @@ async def test_a_field_without_a_number_is_marked_and_nothing_is_sent(tmp_path):
         await draw_word(page)
         assert "Lift" in await says(page, "#plan", "no number")
         assert wire.of("add-task") == wire.of("draw") == []
+        await page.click("#tab-parameters")
+        types = {"led.bitmask": ["uint8_t", True], "cpu.flash": ["uint16_t", False]}
+        wire.tell(parameters={"drone": 0, "types": types})
+        await says(page, "#parameters-said", "2 of 2 parameters")
+        await page.fill("#parameter-filter", "LED")
+        await says(page, "#parameters-said", "1 of 2 parameters")
+        wire.tell(parameters={"drone": 0, "values": {"led.bitmask": 3}})
+        assert "uint8_t read, set 3" in " ".join(
+            (await says(page, "#parameters tbody", "3")).split()
+        )
+        assert [message["name"] for message in wire.of("read-parameters")] == ["led"]
+        value = page.get_by_label("new value of led.bitmask")
+        await page.click('[aria-label="Set led.bitmask"]')
+        assert "led.bitmask" in await says(page, "#trouble", "no number")
+        assert await value.get_attribute("aria-invalid") == "true"
+        await value.fill("255")
+        await value.press("Enter")
+        assert await value.get_attribute("aria-invalid") == "false"
+        (sent,) = wire.of("set-parameter")
+        assert (sent["drone"], sent["name"], sent["value"]) == (0, "led.bitmask", 255)
+        wire.tell(parameters={"drone": 5, "values": {"led.bitmask": 9}})
+        wire.tell(parameters={"drone": 0, "values": {"led.bitmask": 255}})
+        await says(page, '[data-value="led.bitmask"]', "255")
 
 
 @pytest.mark.slow
@@ -399,7 +422,9 @@ async def test_a_drawing_is_saved_as_a_file_and_loaded_again(tmp_path, kind):
 
 
 @pytest.mark.slow
-async def test_no_tab_moves_the_table_and_what_flies_a_drawing_is_in_sight(tmp_path):
+async def test_no_tab_moves_the_table_what_flies_a_drawing_is_in_sight_and_dismissed_hints_stay_away(
+    tmp_path,
+):
     """The box of a drone stays in its place in every tab: the operator ticks the box under the pointer."""
     async with looked_at(tmp_path, viewport={"width": 1280, "height": 800}) as (
         page,
@@ -408,7 +433,7 @@ async def test_no_tab_moves_the_table_and_what_flies_a_drawing_is_in_sight(tmp_p
     ):
         first = page.locator('input[aria-label="drone 0"]')
         places = []
-        for tab in ("fly", "draw", "tasks", "network", "plots", "log"):
+        for tab in TABS:
             await page.click(f"#tab-{tab}")
             places.append((await first.bounding_box())["y"])
         assert len(set(places)) == 1, places
@@ -416,6 +441,15 @@ async def test_no_tab_moves_the_table_and_what_flies_a_drawing_is_in_sight(tmp_p
         panel = await page.locator("#panel-draw").bounding_box()
         button = await page.locator("text=Fly it with the chosen drones").bounding_box()
         assert button["y"] + button["height"] < panel["y"] + panel["height"]
+        for tab in TABS[:-1]:
+            await page.click(f"#tab-{tab}")
+            await page.click(f"#panel-{tab} >> text=Got it")
+        await page.reload()
+        await page.wait_for_selector(CONNECTED)
+        for tab in TABS:
+            await page.click(f"#tab-{tab}")
+            is_left = tab == TABS[-1]
+            assert await page.is_visible(f"#panel-{tab} >> text=Got it") == is_left
 
 
 @pytest.mark.slow
@@ -495,7 +529,9 @@ def hovering(places):
 
 
 @pytest.mark.slow
-async def test_what_plans_cost_and_their_relaxations_are_drawn_by_round(tmp_path):
+async def test_batteries_of_the_chosen_are_drawn_and_by_round_what_plans_cost_and_their_relaxations(
+    tmp_path,
+):
     async with looked_at(tmp_path) as (page, wire, _):
         await page.click("#tab-plots")
         await page.evaluate(WRITTEN)
@@ -513,6 +549,19 @@ async def test_what_plans_cost_and_their_relaxations_are_drawn_by_round(tmp_path
         assert (
             abs((places[1] - places[0]) / (places[2] - places[0]) - 28 / 55) < 1e-6
         ), "a round is where its number is"
+        wire.drones = charged
+        await page.wait_for_function("written.has('3.50') && written.has('4.00')")
+        assert {"drone 0", "drone 5", "no values"} <= set(
+            await page.evaluate("[...written]")
+        )
+        await page.evaluate("written.clear(); choir.select([1])")
+        await page.wait_for_function("written.has('drone 1')")
+        assert "drone 0" not in await page.evaluate("[...written]")
+
+
+def charged(rows):
+    """Drones with batteries between 3.5 V and 4 V, and without a measured round trip."""
+    return [row | {"heard": True, "battery": 4.0 - 0.1 * row["id"]} for row in rows]
 
 
 @pytest.mark.slow

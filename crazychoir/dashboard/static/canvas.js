@@ -35,7 +35,7 @@ export function prepared(canvas) {
 const digits = (span) => Math.min(9, Math.max(0, 1 - Math.floor(Math.log10(span))));
 
 // Draw curves with a common scale.
-// list: curves, each {name, values, tint, dashed}
+// list: curves, each {name, values, tint, dashed}; a tint is a colour, or the name of a colour of page.css
 // foot: text below the curves, such as the range of x
 // x: increasing positions of the values; the default is equal steps
 // gap: two values that are farther apart in x are not joined
@@ -47,7 +47,11 @@ export function curves(canvas, list, foot, x = list[0]?.values.map((_, k) => k),
   const top = 16;
   const bottom = 16;
   const known = list.flatMap(({ values }) => values.filter(Number.isFinite));
-  if (!known.length) return;
+  if (!known.length) {
+    pen.fillStyle = colour("--faint");
+    pen.fillText("no values", left, h / 2);
+    return;
+  }
   const least = Math.min(...known);
   const most = Math.max(...known);
   const low = least > 0.5 * most ? least : Math.min(0, least);
@@ -70,8 +74,8 @@ export function curves(canvas, list, foot, x = list[0]?.values.map((_, k) => k),
   pen.textAlign = "left";
   let named = left;
   for (const { name, values, tint, dashed } of list) {
-    pen.strokeStyle = colour(tint);
-    pen.fillStyle = colour(tint);
+    pen.strokeStyle = tint.startsWith("--") ? colour(tint) : tint;
+    pen.fillStyle = pen.strokeStyle;
     pen.setLineDash(dashed ? [4, 3] : []);
     pen.lineWidth = 1.5;
     pen.beginPath();

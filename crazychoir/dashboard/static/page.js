@@ -2,11 +2,15 @@
 import { ask, chosen, connect, on, seen, select, tell } from "./line.js";
 import { number, numbers } from "./canvas.js";
 import * as draw from "./draw.js";
+import * as hints from "./hints.js";
+import * as log from "./log.js";
+import * as parameters from "./parameters.js";
 import * as plots from "./plots.js";
 import * as receipts from "./receipts.js";
 import * as scene from "./scene.js";
 import * as stick from "./stick.js";
 import * as stops from "./stops.js";
+import * as swarmPlots from "./swarm_plots.js";
 import * as table from "./table.js";
 import { make, set } from "./table.js";
 import * as tasks from "./tasks.js";
@@ -22,6 +26,7 @@ function tabs() {
       other.tabIndex = isShown ? 0 : -1;
       find(other.getAttribute("aria-controls")).hidden = !isShown;
     }
+    tell("tab", tab.getAttribute("aria-controls"));
   };
   all.forEach((tab, k) => {
     tab.addEventListener("click", () => show(tab));
@@ -33,7 +38,7 @@ function tabs() {
       show(next);
     });
   });
-  show(all[0]);
+  show(all.find((tab) => !find(tab.getAttribute("aria-controls")).hidden));
 }
 
 const TEXT_TYPES = ["text", "search", "password", "email", "url"]; // types of input elements
@@ -105,6 +110,7 @@ const choir = {
   },
   sketch: draw.sketch,
   tasks: tasks.tasks,
+  parameters: parameters.parameters,
   ask, chosen, seen, select,
 };
 
@@ -155,7 +161,7 @@ function begin() {
   sliders();
   dialog();
   theme();
-  table.start({ table: find("drones"), lines: find("log"), level: find("level"), caption: find("chosen") });
+  table.start({ table: find("drones"), caption: find("chosen") });
   on("connected", (there) => {
     if (!find("connection").querySelector("a") || there) set(find("connection"), there ? "connected" : "NOT CONNECTED");
     find("connection").dataset.there = there;
@@ -167,7 +173,7 @@ function begin() {
   });
   on("locked", () => find("connection").querySelector("a") || find("connection").replaceChildren(make("a", { href: "/" }, "LOG IN AGAIN")));
   on("links", (lost) => (seen.links = lost));
-  for (const part of [stops, receipts, draw, plots, tasks, stick]) part.start();
+  for (const part of [hints, log, stops, receipts, draw, swarmPlots, plots, tasks, stick, parameters]) part.start();
   scene.start(find("scene"));
   connect();
 }

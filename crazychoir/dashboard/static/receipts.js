@@ -9,7 +9,7 @@ const MAX_TEXT_LENGTH = 90; // characters of an answer
 const MAX_RECEIPTS = 30; // in the list
 export const STOP_VERB = "emergency stop";
 const CLEAR_VERB = "clear stop";
-const VERB_NAMES = { "go-to": "go-to", fly: "fly", impair: "impair", "add-task": "task_add", "cancel-task": "task_cancel" };
+const VERB_NAMES = { "go-to": "go-to", fly: "fly", impair: "impair", "add-task": "task_add", "cancel-task": "task_cancel", "set-parameter": "firmware_set" };
 const OUTCOME_MARKS = { done: "✓", bad: "✗", open: "…", over: "–" };
 const find = (id) => document.getElementById(id);
 let newest = 0; // number of the newest receipt

@@ -1,9 +1,8 @@
-// Show the drones in a table with a box to select each, and the log.
-import { chosen, on, seen, select, selected } from "./line.js";
+// Show the drones in a table with a box to select each.
+import { chosen, on, select, selected } from "./line.js";
 
 const LOSS_TITLE = "share of the drone's messages to other drones that the simulated network has lost; not measured on a real network";
 const RADIO_TITLE = "radio link, signal strength, and share of radio packets that the drone has answered, all measured";
-const MAX_LOG_LINES = 500;
 const MAX_LISTED_SELECTION = 12; // of a longer selection only the number is shown
 // Each column: its name, its text for a drone, and its explanation.
 const TABLE_COLUMNS = [
@@ -63,30 +62,9 @@ function fill(drones) {
   }
 }
 
-const LOG_LEVELS = ["info", "warning", "error"]; // in increasing severity
-
-// Return the time of day in this browser for a time of the server's clock.
-// t: s
-// latest: s, time of the newest log line, used before the first frame
-function moment(t, latest) {
-  return new Date(Date.now() - 1000 * ((seen.at || latest) - t)).toLocaleTimeString("en-GB");
-}
-
-function log(list, level, lines) {
-  for (const line of lines) {
-    const origin = line.drone == null ? "" : `drone ${line.drone}: `;
-    const item = make("li", { "data-level": line.level }, `${moment(line.t, lines.at(-1).t)} ${line.level} ${origin}${line.text}`);
-    item.hidden = LOG_LEVELS.indexOf(line.level) < LOG_LEVELS.indexOf(level.value);
-    list.prepend(item);
-  }
-  while (list.children.length > MAX_LOG_LINES) list.lastChild.remove();
-}
-
-export function start({ table, lines, level, caption }) {
+export function start({ table, caption }) {
   on("about", (about) => build(table, about));
   on("drones", fill);
-  on("log", (list) => log(lines, level, list));
-  on("about", () => lines.replaceChildren());
   on("selected", (ids) => {
     for (const [i, { box, row }] of rows) {
       box.checked = selected.has(i);
@@ -95,9 +73,6 @@ export function start({ table, lines, level, caption }) {
     if (!ids) set(caption, "for all drones");
     else if (ids.length > MAX_LISTED_SELECTION) set(caption, `for ${ids.length} drones`);
     else set(caption, `for drone ${ids.join(", ")}`);
-  });
-  level.addEventListener("change", () => {
-    for (const item of lines.children) item.hidden = LOG_LEVELS.indexOf(item.dataset.level) < LOG_LEVELS.indexOf(level.value);
   });
   set(caption, chosen() ?? "for all drones");
 }

@@ -18,7 +18,7 @@ from crazychoir.dashboard.event_log import EventLog
 from crazychoir.dashboard.model import PAGE_DATA, SwarmModel
 from crazychoir.dashboard.operator import PageOperator
 from crazychoir.dashboard.polling import POLLING_LIMITS, Overview, TaskBoard
-from crazychoir.dashboard.receipts import RECEIPT_KINDS
+from crazychoir.dashboard.receipts import RECEIPT_KINDS, RECEIPT_TEXTS
 from crazychoir.dashboard.stream import (
     STREAM_LIMITS,
     CloseCode,
@@ -112,9 +112,21 @@ class Server:
             }
         if verb == "impair":
             return Impairment(1).describe()
+        if verb.startswith("firmware"):
+            return self.firmware(i, verb, **arguments)
         if i == 0 and verb.startswith("task"):
             raise Refused("drone 0", "this drone has landed; ask another drone")
         return {"tasks": [{"id": 4}]} if verb == "task_list" else {"id": 4}
+
+    def firmware(self, i, verb, name="", value=0.0):
+        """Drone 2 has no firmware; the others have one parameter of one byte."""
+        if i == 2:
+            raise Refused("drone 2", "it has no firmware here")
+        if verb == "firmware_list":
+            return {"led.bitmask": ["uint8_t", True]}
+        if value > 255:
+            raise Refused(f"drone {i}", "allowed: 0 to 255")
+        return {"led.bitmask": int(value)}
 
     def those(self, *verbs):
         return [one for one in self.obeyed if one[1] in verbs]
@@ -678,3 +690,55 @@ async def test_what_was_planned_and_shown_is_flown(clock):
         '<path id="e"> in line 1: left out: it has no size'
     ]
     await server.end()
+
+
+@served
+async def test_parameters_of_a_firmware_are_listed_read_and_set_with_a_receipt(
+    clock, server, page
+):
+    for words in (
+        {"ask": "list-parameters", "drone": 1},
+        {"ask": "read-parameters", "drone": 1, "name": "led"},
+        {"ask": "set-parameter", "drone": 1, "name": "led.bitmask", "value": 7},
+        {"ask": "set-parameter", "drone": 1, "name": "led.bitmask", "value": 256},
+        {"ask": "list-parameters", "drone": 2},
+        {"ask": "list-parameters", "drone": 9},
+    ):
+        page.asks.put_nowait(words)
+        await clock.sleep(0.5)
+    assert page.told("parameters") == [
+        {"drone": 1, "types": {"led.bitmask": ["uint8_t", True]}},
+        {"drone": 1, "values": {"led.bitmask": 0}},
+        {"drone": 1, "values": {"led.bitmask": 7}},
+        {"drone": 2, "problem": "drone 2: it has no firmware here"},
+    ]
+    good, bad = server.desk.book.receipts
+    assert (good.verb, good.words) == ("firmware_set", "led.bitmask = 7")
+    assert good.answers == {1: (ANSWER_TEXTS.done, "led.bitmask = 7")}
+    assert bad.answers == {1: (ANSWER_TEXTS.refused, "allowed: 0 to 255")}
+    assert len(page.told("refused")) == 1, "there is no drone 9"
+
+
+@served
+async def test_no_parameter_of_a_recording_is_asked_for(clock, server, page):
+    server.replays = True
+    page.asks.put_nowait({"ask": "read-parameters", "drone": 0, "name": "led"})
+    await clock.sleep(0.5)
+    assert page.told("parameters") == [{"drone": 0, "problem": RECEIPT_TEXTS.replayed}]
+    assert not server.those("firmware_get")
+
+
+@served
+async def test_a_page_gets_the_lines_of_the_firmware_apart_from_the_log(
+    clock, server, page
+):
+    port = server.bus.ports[1]
+    port.publish(DRONE_TOPICS.console, "drone 1: firmware: SYS: Crazyflie is up")
+    await clock.sleep(0.5)
+    (told,) = page.told("console")
+    assert [(line["drone"], line["text"]) for line in told] == [
+        (1, "SYS: Crazyflie is up")
+    ]
+    assert not any(
+        "SYS" in line["text"] for lines in page.told("log") for line in lines
+    )
