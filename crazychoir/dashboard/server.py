@@ -13,6 +13,7 @@ from typing import Any
 import uvicorn
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 from nicegui import ui
+from starlette.middleware.gzip import GZipMiddleware
 from starlette.staticfiles import StaticFiles
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
@@ -51,6 +52,8 @@ STATIC_FOLDER = Path(__file__).with_name("static")
 """Folder of the page's own scripts and styles."""
 DEFAULT_PORTS = {"http": 80, "https": 443}
 """Default ports, which browsers leave out of an address."""
+COMPRESSION_LEVEL = 5
+"""Level of gzip for the page's own files; higher ones take longer for little."""
 IDLE_CHECK_PERIOD = 5.0
 """Seconds between two checks of a connection.
 
@@ -320,14 +323,16 @@ def _make_app(
         await stream.serve(_PageSocket(websocket), operator())
 
     app.add_api_websocket_route("/line", line)
-    app.mount("/own", StaticFiles(directory=STATIC_FOLDER))
-    app.mount("/three", StaticFiles(directory=THREE_JS_FOLDER))
+    for path, folder in (("/own", STATIC_FOLDER), ("/three", THREE_JS_FOLDER)):
+        files = StaticFiles(directory=folder)
+        app.mount(path, GZipMiddleware(files, compresslevel=COMPRESSION_LEVEL))
     ui.page("/", title=f"{page.swarm} · crazychoir")(page.build)
     ui.run_with(
         app,
         binding_refresh_interval=None,
         show_welcome_message=False,
         dark=None,
+        language="en-US",
         reconnect_timeout=5.0,
         tailwind=False,
         cache_control_directives="no-cache",

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 from system.agents import flying, until
 
-for package in ("nicegui", "playwright"):
+for package in ("nicegui", "playwright", "axe_playwright_python"):
     pytest.importorskip(
         package,
         reason="the page in a browser needs: pip install 'crazychoir[dashboard,test]'",
     )
 
-from system.browsers import CHROMIUM, browser, draw_word, receipt, says  # noqa: E402 - see above
+from axe_playwright_python.async_playwright import Axe  # noqa: E402 - see above
+from system.browsers import CHROMIUM, TABS, Wire, browser, draw_word, receipt, says  # noqa: E402 - see above
 from system.pages import dashboard, looking_on, six  # noqa: E402
 
 PHONE = {"width": 390, "height": 844}
@@ -204,27 +205,41 @@ async def test_a_task_is_added_by_clicks_on_the_floor_while_they_fly(
 
 
 @pytest.mark.slow
-async def test_it_fits_a_phone_is_labelled_and_its_colours_can_be_told_apart(
+async def test_it_fits_a_phone_is_labelled_and_axe_finds_no_serious_fault_in_any_tab(
     tmp_path, compiled
 ):
     async with flying(six(processes=1), tmp_path) as team:
         program, address = await dashboard(team.path)
         try:
             for scheme in ("light", "dark"):
+                wire = Wire()
                 async with browser(
                     address,
                     tmp_path,
+                    wire,
                     viewport=PHONE,
                     color_scheme=scheme,
                     has_touch=True,
                 ) as page:
-                    for tab in ("fly", "draw", "tasks", "network", "plots", "log"):
+                    wire.tell(console=CONSOLE_LINES)
+                    for tab in TABS:
                         await page.click(f"#tab-{tab}")
+                        if tab == "console":
+                            await page.select_option("#console-drone", "1")
+                            shown = await page.inner_text("#console")
+                            assert "drone 1: SYS: up" in shown
+                            assert "drone 2" not in shown
+                        if tab == "parameters":
+                            await page.fill("#parameter-filter", "led")
+                            await says(page, "#parameters-said", "it has no firmware")
+                            wire.tell(parameters=PARAMETERS)
+                            await says(page, "#parameters tbody", "led.bitmask")
                         assert (
                             await page.evaluate("document.documentElement.scrollWidth")
                             <= PHONE["width"]
                         ), tab
                         assert await page.locator(f"#panel-{tab}").is_visible()
+                        assert await find_faults(page, scheme, tab) == [], tab
                     await page.click("#tab-fly")
                     await page.shot(f"phone_{scheme}")
                     nameless = await page.evaluate(NAMELESS)
@@ -233,6 +248,29 @@ async def test_it_fits_a_phone_is_labelled_and_its_colours_can_be_told_apart(
                     assert await page.evaluate(CONTRASTS) == []
         finally:
             await program.kill()
+
+
+PARAMETERS = {"drone": 0, "types": {"led.bitmask": ["uint8_t", True]}}
+CONSOLE_LINES = [
+    {"drone": i, "t": 0.0, "level": "info", "text": "SYS: up"} for i in (1, 2)
+]
+AXE_RULES = {"light": {}, "dark": {"runOnly": ["color-contrast"]}}
+"""What axe-core looks for: in the light everything, in the dark what depends on colours."""
+
+
+async def find_faults(page, scheme, tab):
+    """Return the serious and critical accessibility faults that axe-core finds, and where.
+
+    In the first tab it looks at the whole page, and in the others at the tab alone.
+    """
+    part = None if tab == TABS[0] else f"#panel-{tab}"
+    options = {"resultTypes": ["violations"], **AXE_RULES[scheme]}
+    found = await Axe().run(page, part, options)
+    return [
+        (fault["id"], [node["target"] for node in fault["nodes"]])
+        for fault in found.response["violations"]
+        if fault["impact"] in ("serious", "critical")
+    ]
 
 
 NAMELESS = """

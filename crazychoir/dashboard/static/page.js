@@ -7,7 +7,6 @@ import * as log from "./log.js";
 import * as parameters from "./parameters.js";
 import * as plots from "./plots.js";
 import * as receipts from "./receipts.js";
-import * as scene from "./scene.js";
 import * as stick from "./stick.js";
 import * as stops from "./stops.js";
 import * as swarmPlots from "./swarm_plots.js";
@@ -174,6 +173,17 @@ function begin() {
   on("locked", () => find("connection").querySelector("a") || find("connection").replaceChildren(make("a", { href: "/" }, "LOG IN AGAIN")));
   on("links", (lost) => (seen.links = lost));
   for (const part of [hints, log, stops, receipts, draw, swarmPlots, plots, tasks, stick, parameters]) part.start();
-  scene.start(find("scene"));
   connect();
+  showRoom();
+}
+
+// Load the scene last, because it is the largest part. Without WebGL the rest of the page works all the same.
+async function showRoom() {
+  try {
+    const scene = await import("./scene.js");
+    scene.start(find("scene"));
+  } catch (error) {
+    console.error(error);
+    set(find("scene"), `The room cannot be shown: ${error.message}`);
+  }
 }

@@ -327,4 +327,5 @@ export function start(element) {
   on("tasks", showTasks);
   on("routes", showRoutes);
   on("theme", () => seen.about && build(seen.about));
+  if (seen.about) build(seen.about);
 }
