@@ -39,8 +39,6 @@ class PageDataLimits:
 PAGE_DATA = PageDataLimits()
 
 
-FIRMWARE_PREFIX = "firmware: "
-"""Begin of a line of the console of a drone's firmware, after the name of the drone."""
 LINK_STATUS_TIMEOUT = DRONE_TOPICS.link.max_age + 1.0 / PAGE_DATA.link_rate
 """Seconds after which the last message about a radio link is too old to be used."""
 FRAME_COLUMNS = 17
@@ -72,20 +70,29 @@ class LastMessages:
 
 
 class SwarmModel:
-    """Listens at `address` to all drones of a swarm file.
+    """Listens to all drones of a swarm file.
 
     The drones have no additional work: it only subscribes to messages that they send anyway.
+
+    bus, address: where it listens
+    config: the swarm file
+    watch: log of what the drones do
+    console: log of the lines of their firmware; None for the same log
     """
 
     def __init__(
-        self, bus: Bus, address: int, config: SwarmConfig, watch: EventLog
+        self,
+        bus: Bus,
+        address: int,
+        config: SwarmConfig,
+        watch: EventLog,
+        console: EventLog | None = None,
     ) -> None:
         self.bus = bus
         self.address = address
         self.config = config
         self.watch = watch
-        self.console = EventLog(bus.clock)
-        """Newest lines of the consoles of the drones' firmware."""
+        self.console = console or watch
         self.drones = {i: LastMessages() for i in config.ids}
         self._plans: dict[
             int, dict[int, tuple[float, float]]
@@ -174,8 +181,7 @@ class SwarmModel:
         self.watch.told(i, line)
 
     def _hear_console(self, i: int, line: str, age: float) -> None:
-        text = line.removeprefix(f"drone {i}: ").removeprefix(FIRMWARE_PREFIX)
-        self.console.add(text, drone=i)
+        self.console.add(line.removeprefix(f"drone {i}: "), "info", i)
 
     # Reporting ----------------------------------------------------------------------------
 

@@ -215,7 +215,7 @@ async def serve(
     clock = place.clock
     config = place.config
     watch = EventLog(clock)
-    model = SwarmModel(bus, place.address, config, watch)
+    model = SwarmModel(bus, place.address, config, watch, EventLog(clock))
     desk = CommandDesk(place, watch)
     overview = Overview(desk)
     board = TaskBoard(desk, model)

@@ -252,7 +252,7 @@ async def test_it_fits_a_phone_is_labelled_and_axe_finds_no_serious_fault_in_any
 
 PARAMETERS = {"drone": 0, "types": {"led.bitmask": ["uint8_t", True]}}
 CONSOLE_LINES = [
-    {"drone": i, "t": 0.0, "level": "info", "text": "SYS: up"} for i in (1, 2)
+    {"drone": i, "t": 0.0, "level": "info", "text": "firmware: SYS: up"} for i in (1, 2)
 ]
 AXE_RULES = {"light": {}, "dark": {"runOnly": ["color-contrast"]}}
 """What axe-core looks for: in the light everything, in the dark what depends on colours."""

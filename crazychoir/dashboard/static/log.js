@@ -2,6 +2,7 @@
 import { on, seen } from "./line.js";
 import { make } from "./table.js";
 
+const FIRMWARE_PREFIX = "firmware: "; // of a line of a console, as the drones tell it
 const MAX_LINES = 500; // of a list
 const LOG_LEVELS = ["info", "warning", "error"]; // in increasing severity
 const find = (id) => document.getElementById(id);
@@ -39,6 +40,6 @@ function list(kind, filter, text, passes) {
 export function start() {
   list("log", find("level"), (line) => `${line.level} ${origin(line)}${line.text}`,
     (level, data) => LOG_LEVELS.indexOf(data.level) >= LOG_LEVELS.indexOf(level));
-  list("console", find("console-drone"), (line) => `${origin(line)}${line.text}`,
+  list("console", find("console-drone"), (line) => `${origin(line)}${line.text.replace(FIRMWARE_PREFIX, "")}`,
     (drone, data) => !drone || data.drone === drone);
 }

@@ -185,6 +185,14 @@ async def test_the_log_has_phases_notes_lines_and_results_with_levels(clock):
 
 
 @virtual
+async def test_lines_of_a_firmware_are_in_the_log_unless_they_have_their_own(clock):
+    seen = Seen(clock)
+    seen.ports[3].publish(DRONE_TOPICS.console, "drone 3: firmware: SYS: failed")
+    await clock.sleep(0.1)
+    assert seen.lines() == [(3, "info", "firmware: SYS: failed")]
+
+
+@virtual
 async def test_costs_are_noted_by_rounds(clock):
     seen = Seen(clock)
     for k, cost, relaxed in ((1, 9.0, math.nan), (1, 9.0, 8.0), (2, 7.0, 5.0)):

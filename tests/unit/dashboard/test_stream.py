@@ -83,7 +83,11 @@ class Server:
         )
         self.desk, self.replays = CommandDesk(self, self.watch), False
         self.model = SwarmModel(
-            self.bus, PORT_ADDRESSES.first_observer, self.config, self.watch
+            self.bus,
+            PORT_ADDRESSES.first_observer,
+            self.config,
+            self.watch,
+            EventLog(clock),
         )
         self.overview, self.board = (
             Overview(self.desk),
@@ -737,7 +741,7 @@ async def test_a_page_gets_the_lines_of_the_firmware_apart_from_the_log(
     await clock.sleep(0.5)
     (told,) = page.told("console")
     assert [(line["drone"], line["text"]) for line in told] == [
-        (1, "SYS: Crazyflie is up")
+        (1, "firmware: SYS: Crazyflie is up")
     ]
     assert not any(
         "SYS" in line["text"] for lines in page.told("log") for line in lines
