@@ -131,7 +131,7 @@ class Page:
             ),
             "console": Tab(
                 "Console",
-                "Lines that the firmware prints since the server of this page started. "
+                "Lines that the firmware has printed since the server of this page started. "
                 "Simulated drones have no firmware; those with a uri have.",
                 partial(build_console_tab, about),
             ),

@@ -319,7 +319,7 @@ async def test_a_field_without_a_number_is_marked_and_nothing_is_sent(tmp_path):
         await page.fill("#parameter-filter", "LED")
         await says(page, "#parameters-said", "1 of 2 parameters")
         wire.tell(parameters={"drone": 0, "values": {"led.bitmask": 3}})
-        assert "uint8_t read, set 3" in " ".join(
+        assert "bitmask uint8_t writable 3" in " ".join(
             (await says(page, "#parameters tbody", "3")).split()
         )
         assert [message["name"] for message in wire.of("read-parameters")] == ["led"]

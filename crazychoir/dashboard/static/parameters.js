@@ -53,8 +53,9 @@ function setter(name) {
 function row(name) {
   const [type, isWritable] = types[name];
   const value = make("td", { "data-value": name }, valueText(name));
-  return make("tr", {}, make("th", { scope: "row" }, name), make("td", {}, type), make("td", {}, isWritable ? "read, set" : "read only"),
-    value, make("td", {}, ...(isWritable ? setter(name) : [])));
+  const head = make("th", { scope: "row" }, name.slice(groupOf(name).length + 1));
+  const access = make("td", {}, isWritable ? "writable" : "read only");
+  return make("tr", {}, head, make("td", {}, type), access, value, make("td", {}, ...(isWritable ? setter(name) : [])));
 }
 
 function fill(details, group, names) {
