@@ -83,31 +83,36 @@ async def test_six_take_off_land_and_stop_by_the_page_with_receipts_and_fly_on_w
         assert "emergency stop" in ended[5]["reason"]
 
 
-async def test_what_a_page_may_not_ask_for_is_refused_and_said(tmp_path, compiled):
-    async with flying(six(processes=1), tmp_path) as team:
-        program, address = await served(team)
-        try:
-            async with looking_on(address) as page:
-                for words in (
-                    {"verb": "explode"},
-                    {"verb": "land", "drones": [9]},
-                    {"verb": "land", "drones": []},
-                    {"verb": "land", "drones": [1e9]},
-                    {"verb": "land", "more": 1},
-                    {},
-                ):
-                    await page.ask("order", **words)
-                await page.socket.send("{")
-                await page.socket.send("[" * 5000)
-                await asyncio.sleep(0.5)
-                assert len(page.replies) == 8
-                assert "0 to 5" in page.replies[1]["refused"]
-                assert page.receipts == {}
-        finally:
-            program.signal(signal.SIGINT)
-            ended = await program.end(10.0)
-        assert ended["code"] == 0
-        assert "Traceback" not in program.text
+async def test_what_a_page_may_not_ask_for_is_refused_and_said(tmp_path):
+    path = tmp_path / "swarm.json"
+    path.write_text(six(processes=1).dumps())  # no process flies it
+    program, address = await dashboard(path)
+    try:
+        async with looking_on(address) as page:
+            for words in (
+                {"verb": "explode"},
+                {"verb": "land", "drones": [9]},
+                {"verb": "land", "drones": []},
+                {"verb": "land", "drones": [1e9]},
+                {"verb": "land", "more": 1},
+                {},
+            ):
+                await page.ask("order", **words)
+            await page.socket.send("{")
+            await page.socket.send("[" * 5000)
+            await asyncio.sleep(0.5)
+            assert len(page.replies) == 8
+            assert "0 to 5" in page.replies[1]["refused"]
+            assert page.receipts == {}
+            await page.ask("order", verb="land", drones=[1])
+            await until(
+                lambda: page.receipts, 5.0, lambda: "no receipt of a good order"
+            )
+    finally:
+        program.signal(signal.SIGINT)
+        ended = await program.end(10.0)
+    assert ended["code"] == 0
+    assert "Traceback" not in program.text
 
 
 @pytest.mark.slow
