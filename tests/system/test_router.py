@@ -7,6 +7,7 @@ import secrets
 import signal
 import subprocess
 from dataclasses import dataclass
+from pathlib import Path
 
 import pytest
 from system.agents import BRISK, CRAZYCHOIR, Program, flying, results
@@ -22,6 +23,8 @@ from crazychoir.launch.namespaces import (
 
 pytestmark = pytest.mark.system
 MISSION = load_mission("pickup_delivery")
+INSTANCE = Path(__file__).parents[1] / "data" / "pickup_delivery_room.json"
+"""Three drones with four tasks."""
 ADDRESSES = {"a": "10.78.1.1", "b": "10.78.2.1", "r": "10.78.1.254"}
 GATES = {"a": "10.78.1.254", "b": "10.78.2.254"}
 
@@ -65,13 +68,13 @@ def apart():
         yield hosts
 
 
-def demo(folder, secured):
-    """The demo's six drones, three on a, three on b, the router on r."""
+def planners(folder, secured):
+    """Return a swarm of three drones: two on a, one on b, the router on r."""
     keys = folder / "keys"
     authority.make_authority(keys)
     for name in "abr":
         authority.add_host(keys, name)
-    config = MISSION.swarm(None)
+    config = MISSION.swarm(None, INSTANCE)
     raw = json.loads(config.dumps())
     security = (
         {"operators": ["a"], "keys": str(keys)} if secured else {"insecure": True}
@@ -81,10 +84,10 @@ def demo(folder, secured):
         router="r",
         security=security,
         drones=[
-            {"id": d["id"], "home": d["home"], "host": "ab"[d["id"] // 3]}
+            {"id": d["id"], "home": d["home"], "host": "ab"[d["id"] // 2]}
             for d in raw["drones"]
         ],
-        processes=[[0, 1, 2], [3, 4, 5]],
+        processes=[[0, 1], [2]],
         mission_options={**raw["mission_options"], "service_time": 0.2},
         flight=BRISK,
     )
@@ -92,10 +95,10 @@ def demo(folder, secured):
 
 @pytest.mark.timeout(300)  # the first test of a fresh clone waits for the compiler
 @pytest.mark.parametrize("secured", [True, pytest.param(False, marks=pytest.mark.slow)])
-async def test_the_demo_flies_on_hosts_that_reach_the_router_alone(
+async def test_a_mission_flies_on_hosts_that_reach_the_router_alone(
     tmp_path, compiled, secured
 ):
-    config = demo(tmp_path, secured)
+    config = planners(tmp_path, secured)
     file = tmp_path / "router.json"
     file.write_text(config.dumps())
     with apart() as hosts:
@@ -105,12 +108,12 @@ async def test_the_demo_flies_on_hosts_that_reach_the_router_alone(
         try:
             await router.says("router at")
             async with flying(
-                config, tmp_path / "team", lambda i: hosts.command("ab"[i // 3])
+                config, tmp_path / "team", lambda i: hosts.command("ab"[i // 2])
             ) as team:
                 ended = await team.end(120)
             report = MISSION.report(config, results(ended))
             assert report["success"], (report, team.text)
-            assert report["tasks"] == {"total": 10, "served": 10}
+            assert report["tasks"] == {"total": 4, "served": 4}
             router.signal(signal.SIGINT)
             assert (await router.end(10))["code"] == 0, router.text
         finally:
@@ -120,10 +123,10 @@ async def test_the_demo_flies_on_hosts_that_reach_the_router_alone(
 @pytest.mark.timeout(300)
 async def test_without_a_router_they_do_not_find_each_other(tmp_path, compiled):
     """The hosts of the test above are apart: no other program passes anything on."""
-    config = demo(tmp_path, secured=False).replace(start_deadline=4.0)
+    config = planners(tmp_path, secured=False).replace(start_deadline=4.0)
     with apart() as hosts:
         async with flying(
-            config, tmp_path / "team", lambda i: hosts.command("ab"[i // 3])
+            config, tmp_path / "team", lambda i: hosts.command("ab"[i // 2])
         ) as team:
             await asyncio.sleep(0)
             ended = await team.end(120)
@@ -136,8 +139,8 @@ async def test_without_a_router_they_do_not_find_each_other(tmp_path, compiled):
 async def test_a_router_that_is_killed_and_started_again_is_found_again(
     tmp_path, compiled, secured
 ):
-    """The six are in the middle of planning."""
-    config = demo(tmp_path, secured).replace(network={"loss": 0.3, "delay": 0.02})
+    """The three are in the middle of planning."""
+    config = planners(tmp_path, secured).replace(network={"loss": 0.3, "delay": 0.02})
     file = tmp_path / "router.json"
     file.write_text(config.dumps())
     routers = []
@@ -154,7 +157,7 @@ async def test_a_router_that_is_killed_and_started_again_is_found_again(
         try:
             await route()
             async with flying(
-                config, tmp_path / "team", lambda i: hosts.command("ab"[i // 3])
+                config, tmp_path / "team", lambda i: hosts.command("ab"[i // 2])
             ) as team:
                 await team.in_planning(10)
                 await routers[0].kill()
@@ -163,6 +166,6 @@ async def test_a_router_that_is_killed_and_started_again_is_found_again(
                 ended = await team.end(120)
             report = MISSION.report(config, results(ended))
             assert report["success"], (report, team.text)
-            assert report["tasks"] == {"total": 10, "served": 10}
+            assert report["tasks"] == {"total": 4, "served": 4}
         finally:
             await asyncio.gather(*(router.kill() for router in routers))
