@@ -4,6 +4,8 @@ import ast
 import re
 from collections.abc import Iterator
 
+from syntax_trees import syntax_tree
+
 # Pronouns for people: things are not people, and the reader must guess what is meant.
 PEOPLE = re.compile(
     r"\b(who|whom|whose|whoever|nobody|somebody|anybody|himself|his)\b", re.IGNORECASE
@@ -26,7 +28,7 @@ def hard_words(text: str) -> str | None:
 
 def docstrings(source: str) -> Iterator[tuple[int, str]]:
     """Yield the line and the text of every docstring, those of attributes included."""
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(syntax_tree(source)):
         body = getattr(node, "body", None)
         for statement in body if isinstance(body, list) else []:
             if not isinstance(statement, ast.Expr):
@@ -49,7 +51,7 @@ def hard_docstrings(source: str) -> list[str]:
 def hard_test_names(source: str) -> list[str]:
     """Return `line: name` of each test with a name that is no plain sentence."""
     found = []
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(syntax_tree(source)):
         if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
             continue
         if not node.name.startswith("test_"):

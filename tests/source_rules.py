@@ -7,6 +7,8 @@ import ast
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
+from syntax_trees import syntax_tree
+
 # Reading the wall clock and sleeping: crazychoir/runtime/clock.py alone, so that virtual time governs everything.
 CLOCKS = frozenset(
     {
@@ -52,7 +54,7 @@ SET_OPERATORS = (ast.BitOr, ast.BitAnd, ast.Sub, ast.BitXor)
 
 def forbidden_clocks(source: str, banned: frozenset[str]) -> list[str]:
     """`line: name` of each use of a banned function, however it was imported."""
-    tree = ast.parse(source)
+    tree = syntax_tree(source)
     names = _imported_names(tree)
     found = []
     for node in ast.walk(tree):
@@ -94,7 +96,7 @@ def _dotted(node: ast.expr, names: dict[str, str]) -> str:
 
 def set_iterations(source: str) -> list[str]:
     """`line: expression` of each place that takes the elements of a set in their order, which is the hash order."""
-    tree = ast.parse(source)
+    tree = syntax_tree(source)
     sets = _Sets()
     for _ in range(
         2

@@ -5,6 +5,8 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
+from syntax_trees import syntax_tree
+
 MOST_CLASS_LINES = 300
 MOST_CLASS_METHODS = 30
 MOST_CLASS_ATTRIBUTES = 20
@@ -16,7 +18,7 @@ Functions = ast.FunctionDef | ast.AsyncFunctionDef
 
 def large_classes(source: str) -> Iterator[tuple[str, str]]:
     """Yield the name and the size of each class that is too large for one responsibility."""
-    for node in ast.walk(ast.parse(source)):
+    for node in ast.walk(syntax_tree(source)):
         if not isinstance(node, ast.ClassDef):
             continue
         lines = (node.end_lineno or node.lineno) - node.lineno + 1
@@ -56,7 +58,7 @@ def wide_functions(source: str) -> Iterator[tuple[str, int]]:
     Compiled functions are excepted, because numba takes no parameter objects, and so are the
     functions behind a command line, because each argument is an option.
     """
-    for owner, node in _functions(ast.parse(source)):
+    for owner, node in _functions(syntax_tree(source)):
         arguments = node.args
         count = len(
             [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs]
@@ -93,7 +95,7 @@ def _is_command(node: Functions) -> bool:
 
 def constants(source: str) -> Iterator[str]:
     """Yield the names of the module's constants."""
-    for node in ast.parse(source).body:
+    for node in syntax_tree(source).body:
         for target in _targets(node):
             for name in ast.walk(target):
                 if isinstance(name, ast.Name) and name.id.lstrip("_").isupper():
@@ -117,7 +119,7 @@ def one_word_constants(source: str) -> list[str]:
 
 def packed_assignments(source: str) -> Iterator[str]:
     """Yield the lines that set several constants, or more than two independent values."""
-    tree = ast.parse(source)
+    tree = syntax_tree(source)
     for node in ast.walk(tree):
         if not isinstance(node, ast.Assign) or not isinstance(
             node.targets[0], ast.Tuple
@@ -142,7 +144,7 @@ def nested_conditions(source: str) -> list[str]:
     """Return the lines of the conditional expressions that contain another one."""
     return [
         f"{node.lineno}: {ast.unparse(node)}"
-        for node in ast.walk(ast.parse(source))
+        for node in ast.walk(syntax_tree(source))
         if isinstance(node, ast.IfExp)
         and sum(isinstance(part, ast.IfExp) for part in ast.walk(node)) > 1
     ]
@@ -152,7 +154,7 @@ def shared_class_names(files: Iterable[Path]) -> dict[str, list[str]]:
     """Return the names that several classes have, with their files."""
     found = defaultdict(list)
     for file in files:
-        for node in ast.walk(ast.parse(file.read_text())):
+        for node in ast.walk(syntax_tree(file.read_text())):
             if isinstance(node, ast.ClassDef):
                 found[node.name].append(str(file))
     return {name: places for name, places in found.items() if len(places) > 1}

@@ -32,6 +32,7 @@ from style_rules import (
     shared_class_names,
     wide_functions,
 )
+from syntax_trees import syntax_tree
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 CONTRACTS = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["tool"][
@@ -127,6 +128,13 @@ def lint_imports(folder: Path) -> str:
     )
     done = python("-c", program, "--no-cache", "--no-logo", cwd=folder)
     return f"exit {done.returncode}\n{done.stdout}{done.stderr}"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def trees() -> Iterator[None]:
+    """Free the syntax trees, which the rules share, after the last test."""
+    yield
+    syntax_tree.cache_clear()
 
 
 @pytest.fixture(scope="module")
