@@ -19,6 +19,7 @@ from crazychoir.safety.collision.agreed.path_limits import (
     PATH_TOLERANCES,
     PLANNING_TIMES,
     PathLimits,
+    compute_hard_path_room,
 )
 from crazychoir.safety.collision.agreed.paths import (
     compute_end_place,
@@ -109,7 +110,7 @@ class PathChoice:
         )
         return near and self._ends(
             wanted.future(
-                wanted.whole if wanted.whole > 0.0 else PLANNING_TIMES.least_horizon
+                wanted.whole if wanted.whole > 0.0 else PLANNING_TIMES.horizons[0]
             )
         )
 
@@ -145,6 +146,10 @@ class PathChoice:
         start = compute_motion(mine.way, begins - mine.began)
         others = self._obstacles.all(now)
         if self._keeps_up(wanted, begins, now, others):
+            return
+        if threat >= PLANNING_TIMES.imminent_meeting and self._may_wait(
+            wanted, begins - now + PLANNING_TIMES.check_interval, now
+        ):
             return
         goal, moves = self._goal(wanted, begins - now)
         aim = RestGoal(
@@ -196,21 +201,21 @@ class PathChoice:
         behind = start - wanted.future(wait).flat[0:12]
         if np.linalg.norm(behind[0:3]) > PATH_TOLERANCES.off_reference:
             return False
-        ahead = max(
-            wanted.whole - wait if wanted.whole > 0.0 else PLANNING_TIMES.least_horizon,
-            self._catches_up(behind),
+        catching_up = self._catches_up(behind)
+        horizons = (
+            (wanted.whole - wait,) if wanted.whole > 0.0 else PLANNING_TIMES.horizons
         )
-        then = wanted.future(wait + ahead)
-        if self._ends(then):
-            return True
-        way = plan_catching_up(start, then.flat[0:12], ahead, self._a_max)
-        room = (
-            PATH_ACCELERATIONS.hard_path_room
-            if find_peak_sideways_acceleration(way) > PATH_ACCELERATIONS.hard
-            else 0.0
-        )
-        _, self.gives_way_to = others.first(way, begins, now, room)
-        if self.gives_way_to is not None:
+        for horizon in horizons:
+            ahead = max(horizon, catching_up)
+            then = wanted.future(wait + ahead)
+            if self._ends(then):
+                return True
+            way = plan_catching_up(start, then.flat[0:12], ahead, self._a_max)
+            room = compute_hard_path_room(find_peak_sideways_acceleration(way))
+            _, self.gives_way_to = others.first(way, begins, now, room)
+            if self.gives_way_to is None:
+                break
+        else:
             return False
         if alone:
             mine.begin(way, now)
@@ -218,6 +223,17 @@ class PathChoice:
             mine.propose(way, begins)
             mine.settle(now)
         return True
+
+    def _may_wait(self, wanted: WantedFlight, later: float, now: float) -> bool:
+        """Return whether the present path is still the moving reference `later` s from now.
+
+        Then the drone looks once more before it leaves the reference: the other drone may go on by then.
+        """
+        mine = self._agreement
+        place = compute_motion(mine.way, now + later - mine.began)[0:3]
+        gap = math.dist(place, wanted.future(later).p)
+        moves = wanted.whole == 0.0 and not wanted.stands
+        return moves and gap <= PATH_TOLERANCES.off_reference
 
     def _catches_up(self, behind: Vec) -> float:
         """Return the time in s to catch up with the wanted reference.

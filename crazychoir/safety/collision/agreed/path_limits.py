@@ -27,8 +27,12 @@ class PlanningTimes:
     """Seconds between two looks for a better path."""
     offer_lead_time: float = 0.3
     """Seconds before an offer begins, within which the others agree, or do not."""
-    least_horizon: float = 0.8
-    """Least time in s that is planned ahead if the wanted reference has no known end."""
+    horizons: tuple[float, ...] = (0.8, 0.6, 0.4)
+    """Times in s that are planned ahead, the first that is clear, if the wanted reference has no known end.
+
+    Behind another drone on the same path only the shorter ones may be clear: where that drone will rest
+    if it does not come to agree with the others on more. The last one is as long as an offer and a look take.
+    """
     least_gain: float = 0.3
     """Seconds that another path must save."""
     imminent_meeting: float = 1.0
@@ -79,11 +83,26 @@ class PathAccelerations:
     """
     hard: float = 1.2
     """Sideways acceleration in m/s2 from which on a wanted path counts as hard."""
+    hardest: float = 2.0
+    """Sideways acceleration in m/s2 from which on a wanted path needs the whole room of a hard path."""
     hard_path_room: float = 0.4
-    """Distance in m that a hard path needs beside D."""
+    """Distance in m that the hardest paths need beside D; harder paths are flown less exactly."""
 
 
 PATH_ACCELERATIONS = PathAccelerations()
+
+
+def compute_hard_path_room(peak: float) -> float:
+    """Return the distance in m that a wanted path needs beside D.
+
+    It grows evenly from 0 at PATH_ACCELERATIONS.hard to the whole room at PATH_ACCELERATIONS.hardest. With
+    the whole room for each hard path, drones that stand 0.6 m apart on their paths could never go on.
+
+    peak: m/s2, largest sideways acceleration of the path
+    """
+    limits = PATH_ACCELERATIONS
+    share = (peak - limits.hard) / (limits.hardest - limits.hard)
+    return limits.hard_path_room * min(max(share, 0.0), 1.0)
 
 
 LOWEST_WAYPOINT = 0.25

@@ -10,7 +10,10 @@ from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
 from crazychoir.safety.airspace.neighbours import Neighbours
 from crazychoir.safety.collision.agreed.agreement import NO_PATH
 from crazychoir.safety.collision.agreed.path_choice import WantedFlight
-from crazychoir.safety.collision.agreed.path_limits import PathLimits
+from crazychoir.safety.collision.agreed.path_limits import (
+    PathLimits,
+    compute_hard_path_room,
+)
 from crazychoir.safety.collision.agreed.paths import compute_end_place, plan_hold
 from crazychoir.safety.collision.agreed.planned import PlannedFlights
 from crazychoir.safety.rules.guard import Fence
@@ -125,3 +128,9 @@ async def test_the_time_left_and_the_end_of_a_path_are_known(clock):
     assert mine.left(began + 9.0) == 0.0
     assert mine.comes_to(START + np.array([0.0, 0.0, 0.04]))
     assert not mine.comes_to(START + np.array([0.0, 0.0, 0.06]))
+
+
+def test_path_needs_more_room_the_harder_it_is():
+    assert compute_hard_path_room(1.2) == 0.0
+    assert compute_hard_path_room(1.6) == pytest.approx(0.2)
+    assert compute_hard_path_room(2.0) == compute_hard_path_room(9.0) == 0.4

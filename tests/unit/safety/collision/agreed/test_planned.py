@@ -588,3 +588,46 @@ async def test_a_drone_with_a_silent_radio_is_avoided_where_it_is_seen(
             (np.array(goes.track) - [0.0, 0.0, 1.0]) * [1.0, 1.0, 0.4], axis=1
         ).min()
         assert bool(d > 0.3) is clear, d
+
+
+class Follower(Flier):
+    """A drone that follows a path from the time `began` on, which waits while the drone is delayed."""
+
+    def __init__(self, airspace, i, ids, path, planners=None):
+        super().__init__(airspace, i, ids, path.sample(0.0).p, planners=planners)
+        self.path, self.t, self.delays = path, 0.0, 0
+
+    def tick(self, now):
+        state, wanted = State.at(self.at, self.v), partial(later_of, self.path, self.t)
+        self.filter.traffic.publish(state, 0.0)
+        self.filter.traffic.airspace.step()
+        flown = self.filter.fly(state, wanted(0.0), wanted, 0.0, now, waits=True)
+        self.at, self.v = flown.p.copy(), flown.v.copy()
+        self.delays += self.filter.delayed
+        self.t += 0.0 if self.filter.delayed else TICK
+        self.track.append(self.at.copy())
+
+
+def side_by_side(clock, spacing):
+    """Six drones in two rows, each on its own circle at 0.73 m/s and 0.77 m/s2."""
+    bus = Bus(clock)
+    ids = list(range(6))
+    for i in ids:
+        bus.port(i)
+    airspace = Airspace(bus, ids, AirspaceRules(CollisionTable(), 1.0, 0.0, tuple(ids)))
+    return [
+        Follower(
+            airspace,
+            i,
+            ids,
+            circle((spacing * (i % 3) - 1.0, spacing * (i // 3) - 0.5, 1.0), 0.7, 6.0),
+        )
+        for i in ids
+    ]
+
+
+@virtual
+async def test_drones_side_by_side_on_equal_fast_paths_do_not_delay_each_other(clock):
+    drones = side_by_side(clock, 0.6)
+    await fly(clock, drones, drones[0].path.duration)
+    assert [drone.delays for drone in drones] == [0] * 6
