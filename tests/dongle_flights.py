@@ -97,10 +97,12 @@ class DongleFlight:
 
     config: all drones at dongle 0, of the sender xyz;  loss: of packets, each way
     farthest: from home so far, along each axis, m.
+    slowness: s of the clock in which the world of a loaded machine moves on by 1 s.
     """
 
     def __init__(self, clock, config, loss=0.0):
         self.clock, self.config = clock, config
+        self.slowness = 1.0
         self.plan = plan_dongles(config)[0]
         self.hall = select_from_swarm(config, None)
         self.world = self.hall.world(0)
@@ -141,7 +143,7 @@ class DongleFlight:
             for name, rate in (("see", 50), ("log", 20), ("fly", 10))
         }
         for k in range(round(seconds / dt)):
-            await self.clock.sleep(dt)
+            await self.clock.sleep(self.slowness * dt)
             self.world.step()
             for i, drone in self.drones.items():
                 for _ in self.crazyflies[i].pass_time():
@@ -166,14 +168,14 @@ class DongleFlight:
             3.0, lambda i, t: None if self.drones[i].estimate.is_flying else rise
         )
 
-    async def land(self):
+    async def land(self, seconds=4.6):
         """Let all drones land where they are above."""
 
         def command(i, t):
             x, y, _ = self.config.drone(i).home
             return XYZ("land", np.array([x, y, -0.25, 0.0, 3.0]))
 
-        await self.run(4.6, command)
+        await self.run(seconds, command)
 
     def unwell(self):
         """Return the drones that do not stand whole at their homes."""

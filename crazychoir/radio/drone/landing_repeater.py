@@ -4,6 +4,7 @@ import math
 
 from crazychoir.control.senders import STOP_COMMAND
 from crazychoir.firmware.results import FIRMWARE_RESULTS, LANDING_RESULTS
+from crazychoir.firmware.supervision import SUPERVISOR_BITS
 from crazychoir.radio.drone.command_transmitter import CommandTransmitter
 from crazychoir.radio.drone.current_link import CurrentLink
 from crazychoir.radio.drone.drone_setup import DroneSetup
@@ -54,8 +55,8 @@ class LandingRepeater:
     def go_on(self) -> None:
         """Repeat the command to land until the planner on board confirms it.
 
-        After that, repeat that no more set-points follow, until the landing should be over. Then
-        repeat the command to stop.
+        After that, repeat that no more set-points follow, until the landing should be over and its plan
+        has ended on board. Then repeat the command to stop.
         """
         if self.command is None:
             return
@@ -70,7 +71,7 @@ class LandingRepeater:
             if self._told_ns is None or self._link.is_quiet():
                 self._told_ns = now_ns
             self._transmitter.transmit(self.command)
-        elif self._clock.now() < self._landed_at:
+        elif self._clock.now() < self._landed_at or self._planner_flies():
             self._transmitter.relax()
         else:
             self._due_ns = now_ns + round(REPEAT_RULES.stop_period * NS_PER_SECOND)
@@ -84,12 +85,23 @@ class LandingRepeater:
         if self.command is None or not self._estimate.is_flying:
             return False
         if self._landed_at < math.inf:
-            return self._clock.now() < self._landed_at
+            return self._clock.now() < self._landed_at or self._planner_flies()
         return (
             self._link.is_quiet()
             or self._told_ns is None
             or self._clock.now_ns() - self._told_ns
             < REPEAT_RULES.vain_time * NS_PER_SECOND
+        )
+
+    def _planner_flies(self) -> bool:
+        """Return whether the firmware says that its planner still flies the drone.
+
+        Then the landing takes longer than planned, as in a virtual drone on a loaded machine, and a stop of the
+        motors would let the drone fall.
+        """
+        bits = self._estimate.supervisor
+        return bool(bits & SUPERVISOR_BITS.planned) and not (
+            bits & SUPERVISOR_BITS.plan_ended
         )
 
     def hear(self, packet: Packet) -> None:

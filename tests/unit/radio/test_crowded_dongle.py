@@ -106,3 +106,18 @@ async def test_a_drone_that_believes_itself_elsewhere_is_sent_its_own_pose_too(c
     assert 1 <= told[2].count < 10
     record = flight.crazyflies[2].onboard.record
     assert math.dist(flight.truth(2)[:2], (record["x"], record["y"])) < 0.25
+
+
+@virtual
+async def test_drones_of_a_loaded_machine_are_not_stopped_before_they_have_landed(
+    clock,
+):
+    flight = DongleFlight(clock, crowd(2))
+    await flight.take_off(HEIGHT)
+    flight.slowness = 3.0
+    sinks = 0.0
+    for _ in range(23):
+        await flight.land(0.2)
+        sinks = min(sinks, *(flight.truth(i)[5] for i in flight.drones))
+    assert sinks > -0.7, "m/s: a drone that falls is faster"
+    assert flight.unwell() == {}
