@@ -17,8 +17,13 @@ from crazychoir.runtime.clock import NS_PER_SECOND, AlarmPriority, Clock
 class AirModel:
     """The queues of a virtual dongle."""
 
-    up_queue: int = 25
-    """Most packets of one drone that wait at the client's end (a chosen number)."""
+    up_queue: int = 4
+    """Most packets of one drone that wait at the client's end: those of a visit.
+
+    A client of a real dongle keeps the others, and replaces old poses and commands. By UDP it does not notice
+    that a dongle is late, so all packets beyond a visit are lost. Otherwise, after 1 s without time for this
+    program, twelve drones would get poses and commands 0.6 s late for some seconds.
+    """
     down_queue: int = 120
     """Most packets of one drone that wait on board (the firmware's queue)."""
     broadcast_queue: int = 25
