@@ -27,4 +27,4 @@ def guidance(i: int, config: SwarmConfig) -> PDVRPGuidance:
     """Return the guidance of robot i, with its own part of the instance."""
     own = hooks.instance(config).local(i)
     options = hooks.given(config)
-    return PDVRPGuidance(own, options.method, options.service_time)
+    return PDVRPGuidance(own, options.method, options.service_time, options.settings)

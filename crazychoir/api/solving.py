@@ -1,11 +1,13 @@
 """Solve a pickup-and-delivery instance by a team of robots, without flight."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from crazychoir.errors import ConfigError
 from crazychoir.numerics.compiling import KERNEL_QUEUE
-from crazychoir.routing.distributed.member import ProofSettings, RoutingSettings
+from crazychoir.optimization.rounds.budget import BudgetSettings
+from crazychoir.routing.distributed.pickup_delivery import choose_routing_settings
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.solve.solve_options import DEFAULT_SOLVE_OPTIONS, SolveOptions
 from crazychoir.solve.solving import solve_here
@@ -22,6 +24,8 @@ def solve(
     seed: int = DEFAULT_SOLVE_OPTIONS.seed,
     processes: int | None = None,
     prove: bool = False,
+    seconds: float | None = None,
+    work: int | None = None,
 ) -> dict[str, Any]:
     """Solve a pickup-and-delivery instance by a team of robots; return what `solve --json` prints.
 
@@ -32,12 +36,16 @@ def solve(
     seed: seed of the graph and of the losses
     processes: number of processes, in real time over Zenoh; None: in this process, in virtual time
     prove: whether to prove the plan optimal, or a bound for large teams, whatever it costs
+    seconds: s that the team searches for better plans; None: the method ends by itself
+    work: search steps in place of seconds: the same number gives the same plan on every machine
     Raises InstanceError, SolverError or ConfigError.
     """
     problem = (
         instance if isinstance(instance, Instance) else Instance.load(Path(instance))
     )
-    chosen = choose_solve_options(problem, method, loss, graph, seed, prove)
+    chosen = choose_solve_options(problem, method, loss, graph, seed)
+    budget = BudgetSettings(seconds, work)
+    chosen = replace(chosen, settings=choose_routing_settings(method, budget, prove))
     KERNEL_QUEUE.compile()
     if processes is None:
         return solve_here(problem, chosen)
@@ -45,7 +53,7 @@ def solve(
 
 
 def choose_solve_options(
-    problem: Instance, method: str, loss: float, graph: str, seed: int, prove: bool
+    problem: Instance, method: str, loss: float, graph: str, seed: int
 ) -> SolveOptions:
     """Return how to solve an instance.
 
@@ -55,5 +63,4 @@ def choose_solve_options(
         allowed = "less than 1: robots that hear nothing of each other agree on nothing"
         raise ConfigError("loss", loss, allowed)
     graph_from_name(graph, problem.robots, seed)
-    settings = RoutingSettings(proof=ProofSettings(prove=prove))
-    return SolveOptions(method, loss, graph, seed, settings)
+    return SolveOptions(method, loss, graph, seed)

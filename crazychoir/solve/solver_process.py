@@ -189,6 +189,8 @@ class SolverProcess:
         write_line({"ready": True, "start_cpu_s": time.process_time()})
         await self._order("go")
         self._go_ns, cpu = clock.now_ns(), time.process_time()
+        for robot in self.robots.values():
+            robot.agent.start_clock(clock.now)
         ended = await self._all(self._solve)
         write_line({"solved": self._report(time.process_time() - cpu, ended)})
         await self._order("replay")
@@ -233,7 +235,7 @@ class SolverProcess:
         """Note a better plan, and report the progress now and then; called in the thread of a step."""
         with self._lock:
             self._note(
-                agent.progress.cost,
+                agent.work_curve[-1][1] if agent.work_curve else None,
                 (self._clock.now_ns() - self._go_ns) / NS_PER_SECOND,
             )
 
@@ -268,6 +270,10 @@ class SolverProcess:
     def _obey(self, loop: asyncio.AbstractEventLoop) -> None:
         """Read orders from standard input, in a thread; end the process when the input ends."""
         for line in sys.stdin:
+            if line.strip() == "stop":
+                for robot in self.robots.values():
+                    robot.agent.interrupt()
+                continue
             loop.call_soon_threadsafe(self._orders.put_nowait, line.strip())
         os._exit(1)
 

@@ -30,6 +30,7 @@ from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Solution
 from crazychoir.routing.instance.schedule import summarise_plan
 from crazychoir.solve.group import ProgramEnded, ProgramGroup
+from crazychoir.solve.interruption import Interruption
 from crazychoir.solve.solve_options import DEFAULT_SOLVE_OPTIONS, SolveOptions
 from crazychoir.team.graph import Graph, describe_ids, graph_from_name
 
@@ -40,6 +41,8 @@ Kernels are compiled at the first use.
 """
 SOLVE_DEADLINE = 600.0
 """s from GO to the plan."""
+PATIENCE_MARGIN = 10.0
+"""s by which this process waits longer for an answer than the deadline of its processes."""
 
 Progress = dict[int, tuple[str, int, float | None]]
 """{robot: (phase, round, cost of the best plan in m or None)}."""
@@ -54,6 +57,7 @@ def solve_in_processes(
     *,
     deadline: float = SOLVE_DEADLINE,
     watch: Callable[[Progress], None] | None = None,
+    interruption: Interruption | None = None,
 ) -> dict[str, Any]:
     """Solve the instance together, with the robots spread over several processes.
 
@@ -74,8 +78,9 @@ def solve_in_processes(
     instance: the pickup-and-delivery problem
     processes: number of processes
     options: method, network and seed
-    deadline: s, limit of the whole solution
+    deadline: s, limit of the whole solution, beside the seconds of the budget
     watch: called with the progress of all robots, or None
+    interruption: ends the computation with the best plan, None if nothing can
     Raises InstanceError, ConfigError, or ProcessFailed if a process fails, ends, or is silent for
     too long.
     """
@@ -91,6 +96,7 @@ def solve_in_processes(
         raise ConfigError(
             "method", options.method, ", ".join(PLANNING_METHODS), "Choose one of them."
         )
+    deadline += options.settings.budget.seconds or 0.0
     network = NetworkTable(loss=options.loss, burst=options.burst)
     require_loss_of_burst(network)
     parts = [
@@ -117,14 +123,14 @@ def solve_in_processes(
             ProgramGroup(_build_commands(parts, common | {"base": base})) as group,
         ):
             run = _SolverRun(group, parts, watch or (lambda progress: None))
+            patience = deadline + PATIENCE_MARGIN
             run.wait("ready", START_DEADLINE, "do not find each other")
             started = time.perf_counter() - began
             group.tell("go")
-            solved = run.wait("solved", deadline + 10.0, "have no plan")
+            with (interruption or Interruption()).telling(lambda: group.tell("stop")):
+                solved = run.wait("solved", patience, "have no plan")
             group.tell("replay")
-            replayed = run.wait(
-                "replayed_s", deadline + 10.0, "do not repeat the rounds"
-            )
+            replayed = run.wait("replayed_s", patience, "do not repeat the rounds")
             group.tell("end")
     return _combine_results(instance, links, solved, replayed) | {
         "startup_s": started,

@@ -52,6 +52,7 @@ LARGE_CLASSES = {
 WIDE_FUNCTIONS = {
     "Pilot.__init__",
     "fly",  # as simulate
+    "solve",  # as simulate
     "sweep",  # as simulate
     "simulate",  # users call it by name; its options are independent of each other
 }

@@ -13,6 +13,7 @@ from crazychoir.errors import CrazyChoirError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
     ANSWER_CONSOLE,
+    ERROR_CONSOLE,
     CommandOutputs,
     LiveTable,
     exit_interrupted,
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
     from crazychoir.solve.solving import Team
     from crazychoir.solve.team import Progress as TeamProgress
 
+INTERRUPTION_TEXT = "Ctrl-C: the search ends here, with the best plan so far"
+MOST_SECONDS = 1e6
+"""s: longest search."""
 SHOWN_ROBOTS = 20
 """Number of robots shown while they solve; the plan shows all."""
 
@@ -72,6 +76,21 @@ def solve(
             help="Prove the plan optimal, or a bound for large teams, whatever it costs.",
         ),
     ] = False,
+    seconds: Annotated[
+        float | None,
+        options.real(
+            "Seconds to search for better plans; else the method ends by itself.",
+            least=0.0,
+            most=MOST_SECONDS,
+        ),
+    ] = None,
+    work: Annotated[
+        int | None,
+        options.whole(
+            "Search steps in place of seconds: the same plan on every machine.",
+            least=0,
+        ),
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Where to draw the routes (PNG).")
     ] = None,
@@ -97,30 +116,53 @@ def solve(
     bound_exact: whether this bound is proven. A plan that costs its lower_bound
     is optimal.
     bound_relaxation: the kind of routes that priced a bound that is not exact.
+    curve, work_curve: the cost of each better plan after s, and after search
+    steps. ended_by: seconds, work or interrupted, if the team had to stop.
+
+    Ctrl-C ends the search: the best plan is printed, and the exit code is 130.
     """
     set_up_logging()
     from crazychoir.api.solving import choose_solve_options
     from crazychoir.cli.shared.option_names import naming_options
+    from crazychoir.optimization.rounds.budget import BudgetSettings
+    from crazychoir.routing.distributed.pickup_delivery import choose_routing_settings
     from crazychoir.routing.instance.instance import Instance
+    from crazychoir.solve.interruption import Interruption
     from crazychoir.solve.solving import solve_here
     from crazychoir.solve.team import (
         solve_in_processes,
     )  # takes 1 s, which --help does not need
 
     outputs = CommandOutputs()
+    interruption = Interruption()
     try:
         require_drawable(picture)
         problem = Instance.load(instance)
         with naming_options():
-            how = choose_solve_options(problem, method, loss, graph, seed, prove)
-        how = replace(how, burst=burst)
+            how = choose_solve_options(problem, method, loss, graph, seed)
+            settings = choose_routing_settings(
+                method, BudgetSettings(seconds, work), prove
+            )
+        how = replace(how, burst=burst, settings=settings)
         if processes is None:
-            with LiveTable(_team_table, enabled=not as_json) as shown:
-                result = solve_here(problem, how, watch=shown)
+            with (
+                LiveTable(_team_table, enabled=not as_json) as shown,
+                interruption.caught(),
+            ):
+                result = solve_here(
+                    problem, how, watch=shown, interruption=interruption
+                )
         else:
-            with LiveTable(_progress_table, enabled=not as_json) as progress:
+            with (
+                LiveTable(_progress_table, enabled=not as_json) as progress,
+                interruption.caught(),
+            ):
                 result = solve_in_processes(
-                    problem, processes, how, watch=None if as_json else progress
+                    problem,
+                    processes,
+                    how,
+                    watch=None if as_json else progress,
+                    interruption=interruption,
                 )
         if picture is not None:
             with outputs.writing("--picture"):
@@ -134,6 +176,9 @@ def solve(
     else:
         ANSWER_CONSOLE.print(_tables(result))
     outputs.say()
+    if result["ended_by"] == "interrupted":
+        ERROR_CONSOLE.print(INTERRUPTION_TEXT)
+        raise typer.Exit(130)
     raise typer.Exit(0 if result["feasible"] and not outputs.failed else 1)
 
 
@@ -214,6 +259,9 @@ def _figures(result: dict[str, Any]) -> dict[str, str]:
     if result["bound_relaxation"] is not None:
         rows["bound_relaxation"] = result["bound_relaxation"]
     rows["method"] = result["method"]
+    if result["ended_by"] is not None:
+        rows["ended_by"] = result["ended_by"]
+        rows["work"] = f"{result['work']} search steps"
     rows["disclosed"] = f"{len(result['disclosed'])} kinds of facts; --json lists them"
     rows |= {
         name: str(result[name])

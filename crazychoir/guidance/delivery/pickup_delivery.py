@@ -7,6 +7,7 @@ import numpy as np
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.member import Member
+from crazychoir.routing.distributed.member import RoutingSettings
 from crazychoir.routing.distributed.pickup_delivery import (
     PLANNING_METHODS,
     PickupDelivery,
@@ -29,6 +30,7 @@ class PDVRPGuidance(CFGuidance):
     problem: this robot's part of the instance.
     method: how the integer plan is recovered, see PickupDelivery.
     service_time: s at each stop, at least. A longer time of the instance holds.
+    settings: constants of the method, the same at all robots.
     """
 
     def __init__(
@@ -36,10 +38,12 @@ class PDVRPGuidance(CFGuidance):
         problem: LocalProblem,
         method: str = PLANNING_METHODS[0],
         service_time: float = 1.0,
+        settings: RoutingSettings | None = None,
     ) -> None:
         self.problem = problem
         self.method = method
         self.service_time = service_time
+        self.settings = settings
         self.served: list[dict[str, Any]] = []
         self._stops: tuple[Stop, ...] = ()  # stops of its present or next route
         self.history: list[tuple[int, float | None, float | None]] = []
@@ -77,7 +81,9 @@ class PDVRPGuidance(CFGuidance):
             diameter=graph.diameter(),
             degree_of={j: len(graph.neighbors(j)) for j in graph.neighbors(self.id)},
             method=self.method,
+            settings=self.settings,
         )
+        solver.start_clock(self.member.clock.now)
         self.member.report = lambda: {
             "task": f"planning: {solver.progress.phase}",
             "round": solver.progress.round,
@@ -178,6 +184,8 @@ class PDVRPGuidance(CFGuidance):
             "bound_exact": solution.bound_exact,
             "disclosed": list(solution.disclosed),
             "rounds": solution.rounds,
+            "ended_by": solution.ended_by,
+            "work_curve": [list(point) for point in solution.work_curve],
             "history": self.history,
             "objective": list(self.problem.objective),
             "plan_digest": solution.plan_digest,

@@ -84,7 +84,9 @@ class PickupHooks:
         Raises ConfigError if not.
         """
         where = f"swarm {config.name}: mission_options.instance"
-        method = self.given(config).method
+        options = self.given(config)
+        method = options.method
+        _ = options.settings  # raises ConfigError if the method has no budget
         require_ready(config, self.instance(config), method, where)
         return []
 

@@ -16,9 +16,12 @@ from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import Seconds, SwarmTable, Text
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.delivery.site import DeliverySite
+from crazychoir.optimization.rounds.budget import BudgetSettings
+from crazychoir.routing.distributed.member import RoutingSettings
 from crazychoir.routing.distributed.pickup_delivery import (
     PLANNING_METHODS,
     PickupDelivery,
+    choose_routing_settings,
 )
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
@@ -43,6 +46,19 @@ class PickupOptions(SwarmTable, frozen=True, kw_only=True):
     """How the integer plan is recovered, see PickupDelivery."""
     service_time: Seconds = 1.0
     """s at each stop, at least. A longer time of the instance holds."""
+    planning_seconds: Seconds | None = None
+    """s that the team searches for better plans, by the clock of the flight.
+
+    None: the method ends by itself. Only the method columns has a budget.
+    """
+    planning_work: Annotated[int, Meta(ge=0)] | None = None
+    """Search steps in place of seconds: the same number gives the same plan on every machine."""
+
+    @property
+    def settings(self) -> RoutingSettings:
+        """The settings of the method. Raises ConfigError if the method has no budget."""
+        budget = BudgetSettings(self.planning_seconds, self.planning_work)
+        return choose_routing_settings(self.method, budget)
 
 
 OBEYED_FEATURES = ("end", "service_time", "penalty", "recharge")

@@ -9,7 +9,11 @@ from crazychoir.routing.distributed.clusters import Cluster, Stops, list_served_
 from crazychoir.routing.distributed.robot_profile import restrict_problem
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
-from crazychoir.routing.search.search import search_plan
+from crazychoir.routing.search.search import (
+    SEARCH_DEFAULTS,
+    SearchOptions,
+    search_plan,
+)
 from crazychoir.types import Ints, Vec
 
 
@@ -20,6 +24,7 @@ def reoptimize_cluster(
     penalty: Vec,
     steps: int,
     seed: int,
+    options: SearchOptions = SEARCH_DEFAULTS,
 ) -> dict[int, list[int]]:
     """Search for better routes of the cluster's robots, starting from the present routes.
 
@@ -29,6 +34,7 @@ def reoptimize_cluster(
     penalty: (M,) cost of leaving a task out.
     steps: search steps.
     seed: of the search.
+    options: parameters of the search.
     """
     chosen = np.array(cluster.tasks, dtype=np.int64)
     fleet = [restrict_problem(robots[i], chosen).vehicle for i in cluster.robots]
@@ -36,7 +42,13 @@ def reoptimize_cluster(
     present = [[inner[s] for s in routes.get(i, ())] for i in cluster.robots]
     objective = robots[cluster.robots[0]].objective
     found = search_plan(
-        fleet, present, penalty[chosen], steps, seed, objective=objective
+        fleet,
+        present,
+        penalty[chosen],
+        steps,
+        seed,
+        objective=objective,
+        options=options,
     )
     return {
         i: rename_nodes(stops, chosen, len(penalty))

@@ -1,12 +1,18 @@
-"""Clusters: disjoint groups of robots with routes near each other, the same at all robots."""
+"""Clusters: disjoint groups of robots with routes near each other, the same at all robots.
 
-from collections.abc import Mapping, Sequence
+And the passes in which a team searches them again.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 
+from crazychoir.routing.distributed.member import AnytimeSettings, SearchSettings
 from crazychoir.routing.distributed.team_order import TeamOrder
 from crazychoir.routing.instance.instance import LocalProblem
+from crazychoir.routing.search.search import SEARCH_DEFAULTS
 from crazychoir.types import Ints, Mat, Vec
 
 Stops = Mapping[int, Sequence[int]]
@@ -191,3 +197,49 @@ def _find_least_distances(to_stops: Mat, to_start: Vec) -> Vec:
         if to_stops.shape[1]
         else to_start
     )
+
+
+@dataclass(frozen=True)
+class SearchPass:
+    """One pass; all robots know it, so that all draw the same clusters."""
+
+    number: int
+    """Seed of the clusters and of their searches."""
+    steps: int
+    """Search steps of each leader."""
+    cluster: tuple[int, int]
+    """Largest number of robots and of tasks in a cluster."""
+    leaders: int
+    """Leaders of each cluster."""
+    temperature: float
+    """First temperature, see SearchOptions."""
+    is_fresh: bool = False
+    """Whether the searches begin without routes, not with the plan in force."""
+
+
+def list_usual_passes(
+    settings: SearchSettings, robots: int, tasks: int, diameter: int
+) -> Iterator[SearchPass]:
+    """Yield the passes of a team without a budget: they share the search steps equally."""
+    passes = settings.count_passes(robots, tasks, diameter)
+    for number in range(passes):
+        yield SearchPass(
+            number,
+            settings.steps // passes,
+            settings.cluster,
+            settings.leaders,
+            SEARCH_DEFAULTS.first_temperature,
+        )
+
+
+def list_anytime_passes(settings: AnytimeSettings) -> Iterator[SearchPass]:
+    """Yield passes without end, which do not depend on the budget.
+
+    A larger budget therefore begins with all passes of a smaller one, and is never worse.
+    """
+    steps = settings.first_steps
+    for number in count():
+        yield SearchPass(
+            number, steps, settings.cluster, settings.leaders, settings.temperature
+        )
+        steps = min(2 * steps, settings.most_steps)

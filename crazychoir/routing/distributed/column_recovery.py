@@ -73,7 +73,8 @@ class ColumnRecovery:
                 self._i, [relaxed.value, relaxed.prices.tolist()], self._diameter
             )
             value = min(v for v, _ in known.values())
-            if not new or value - bound.value <= member.tolerance(value):
+            met = value - bound.value <= member.tolerance(value)
+            if not new or met or member.budget.is_over:
                 return
             pi = _average_rows([prices for _, prices in known.values()])
 

@@ -1,6 +1,7 @@
 """The method `columns`: distributed column generation, then improvement of the plan by clusters."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,10 @@ from crazychoir.routing.distributed.cluster_problem import (
 from crazychoir.routing.distributed.clusters import (
     Cluster,
     Neighbors,
+    SearchPass,
+    list_anytime_passes,
     list_served_tasks,
+    list_usual_passes,
 )
 from crazychoir.routing.distributed.gossip import Gossip
 from crazychoir.routing.distributed.infeasibility import explain_missing_tasks
@@ -33,6 +37,7 @@ from crazychoir.routing.distributed.team_order import TeamOrder
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
 from crazychoir.routing.pricing.route_table import RouteColumn, find_shortest_route
+from crazychoir.routing.search.search import SearchOptions
 from crazychoir.types import Vec
 
 DISTRIBUTED_COLUMNS_DISCLOSURES: tuple[str, ...] = (
@@ -50,20 +55,25 @@ class DistributedColumns:
     """Plan with all robots, without a central planner.
 
     1. The robots exchange descriptions of themselves (robot_profile.py).
-    2. If every robot can list its routes, gossip.py solves the relaxation and proves a bound.
-    3. Some robots search for a plan from nothing. The team agrees on the best one, the first plan.
+    2. Some robots search for a plan from nothing. The team agrees on the best one, the first plan.
+       If a budget is given, a few passes improve it.
+    3. If every robot can list its routes, gossip.py solves the relaxation and proves a bound.
     4. proof.py searches for a better plan if few enough columns remain, or always if `prove`.
     5. Unless the plan is proven optimal, passes follow. In each pass all robots draw the same
        disjoint clusters. The leaders of each cluster solve its joint problem again. The best result
        is flooded, and all robots adopt it. Clusters are disjoint, so the results of any number of
        clusters fit together without locks. The plan in force is feasible after each pass.
-    6. If step 2 was not possible and `prove` is set, large_bound.py computes a bound.
+       Passes go on while a given budget lasts; see clusters.py.
+    6. If step 3 was not possible and `prove` is set, large_bound.py computes a bound.
+
+    If the budget is over, the robots skip what is left, and keep the plan in force.
 
     `routes`: nodes of each robot's stops in the plan in force.
     """
 
     def __init__(self, member: RoutingMember) -> None:
         self._member = member
+        self._budget = member.budget
         self._i = member.place.robot
         self._diameter = member.place.diameter
         self._m = len(member.local.tasks)
@@ -76,10 +86,12 @@ class DistributedColumns:
         self._robots = yield from introduce_robots(self._member)
         self._order = TeamOrder.of(self._robots)
         self._measure = PlanMeasure(self._robots, self._member.vehicle_weight)
-        gossip = yield from self._relax()
         yield from self._begin()
+        if self._budget.is_given:
+            yield from self._improve(-np.inf, self._draw_passes(early=True))
+        gossip = yield from self._relax()
         if gossip is None:
-            yield from self._improve(-np.inf)
+            yield from self._improve(-np.inf, self._draw_passes())
             return (yield from self._bounded())
         proof = PlanProof(self._member, gossip.pool, gossip.bound, self._offer())
         settings = self._member.settings
@@ -88,7 +100,7 @@ class DistributedColumns:
         )
         self._take_over(proof)
         if not proof.closed:
-            yield from self._improve(proof.proven)
+            yield from self._improve(proof.proven, self._draw_passes())
         return self._assignment(proof.proven)
 
     def _bounded(self) -> Exchange[TaskPartition]:
@@ -98,7 +110,8 @@ class DistributedColumns:
         """
         member = self._member
         if (
-            not member.settings.proof.prove
+            self._budget.is_over
+            or not member.settings.proof.prove
             or OBJECTIVE_NAMES.makespan in member.local.objective
             or (member.local.tasks.priority > 0).any()
         ):
@@ -130,7 +143,7 @@ class DistributedColumns:
         Returns None otherwise.
         """
         member = self._member
-        if OBJECTIVE_NAMES.makespan in member.local.objective:
+        if OBJECTIVE_NAMES.makespan in member.local.objective or self._budget.is_over:
             return None
         servable = yield from flood_values(
             self._i, len(member.local.servable), self._diameter
@@ -140,7 +153,10 @@ class DistributedColumns:
         complete = yield from flood_values(
             self._i,
             not member.speaks
-            or (not member.is_table_hopeless and member.table.complete),
+            or (
+                not (member.is_table_hopeless or self._budget.is_spent)
+                and member.table.complete
+            ),
             self._diameter,
         )
         if not all(complete.values()):
@@ -159,7 +175,11 @@ class DistributedColumns:
         settings = self._member.settings
         mine = None
         rank = self._order.robot_rank[self._i]
-        if rank < settings.search.starters:
+        starters = settings.search.starters
+        if self._budget.is_given:
+            starters = settings.anytime.starters
+        self._budget.charge(settings.search.first_steps)
+        if rank == 0 or (rank < starters and not self._budget.is_spent):
             all_robots = Cluster(self._order.robots, self._order.tasks, (self._i,))
             routes = reoptimize_cluster(
                 self._robots,
@@ -178,52 +198,71 @@ class DistributedColumns:
         if best is None:
             raise SolverError(f"robot {self._i}: first plan", "no robot offered one")
         self.routes = _unflatten_routes(best[2])
-        self._member.report(cost=self._measure.compute_shown_cost(self.routes))
+        self._report_cost()
 
-    def _improve(self, bound: float) -> Exchange[None]:
+    def _draw_passes(self, early: bool = False) -> Iterator[SearchPass]:
+        """Return the passes, or with `early` those before the relaxation of the problem."""
+        settings = self._member.settings
+        if not self._budget.is_given:
+            return list_usual_passes(
+                settings.search, len(self._robots), self._m, self._diameter
+            )
+        first = settings.anytime.first_passes
+        return islice(
+            list_anytime_passes(settings.anytime),
+            0 if early else first,
+            first if early else None,
+        )
+
+    def _improve(self, bound: float, passes: Iterable[SearchPass]) -> Exchange[None]:
         """Run passes of clusters.
 
-        They end when the cost meets the bound, or after `still_passes` passes without a gain.
+        They end when the cost meets the bound, after `still_passes` passes without a gain unless a
+        budget is given, or when the budget is spent.
         """
         settings = self._member.settings
         self._member.report(phase="clusters")
         self._member.kind = "plans"
-        passes = settings.search.count_passes(
-            len(self._robots), self._m, self._diameter
-        )
         near = Neighbors(self._robots, self._order)
         still = 0
-        for k in range(passes):
+        for one in passes:
             missing = self._measure.compute_worth(self.routes)[0]
             cost = self._measure.compute_weighed_cost(self.routes)
             met = not missing and cost - bound <= self._member.tolerance(cost)
-            if met or still == settings.search.still_passes:
+            idle = still == settings.search.still_passes and not self._budget.is_given
+            if met or idle or not self._budget.allows(one.steps):
                 return
-            clusters = near.draw(
-                self.routes, settings.search.cluster, settings.search.leaders, [k]
-            )
+            clusters = near.draw(self.routes, one.cluster, one.leaders, [one.number])
             offers = yield from flood_values(
-                self._i,
-                self._lead(clusters, settings.search.steps // passes, k),
-                self._diameter,
+                self._i, self._lead(clusters, one), self._diameter
             )
             still = 0 if self._accept(clusters, offers) else still + 1
-            self._member.report(cost=self._measure.compute_shown_cost(self.routes))
+            self._report_cost()
 
-    def _lead(
-        self, clusters: Sequence[Cluster], steps: int, k: int
-    ) -> list[Any] | None:
+    def _report_cost(self) -> None:
+        """Report the cost of the plan in force, and whether it serves all tasks."""
+        complete = not self._measure.list_missing_tasks(self.routes)
+        self._member.report_plan(
+            self._measure.compute_shown_cost(self.routes), complete
+        )
+
+    def _lead(self, clusters: Sequence[Cluster], one: SearchPass) -> list[Any] | None:
         """Solve the cluster that this robot leads; return worth and routes if better.
 
-        Returns None if the robot leads no cluster or found nothing better.
+        Returns None if the robot leads no cluster, found nothing better, or has no time left.
         """
         own = next((c for c in clusters if self._i in c.leaders), None)
-        if own is None or not own.tasks:
+        if own is None or not own.tasks or self._budget.is_spent:
             return None
         rank = self._order.robot_rank[self._i]
-        seed = k * self._member.place.robots + rank
         new = reoptimize_cluster(
-            self._robots, self.routes, own, self._left_out, steps, seed
+            self._robots,
+            {} if one.is_fresh else self.routes,
+            own,
+            self._left_out,
+            one.steps,
+            one.number * self._member.place.robots + rank,
+            SearchOptions(first_temperature=one.temperature),
         )
         old = {i: self.routes.get(i, []) for i in own.robots}
         worth = self._measure.compute_worth(new, own.tasks)
@@ -274,6 +313,7 @@ class DistributedColumns:
             return
         for i in self._robots:
             self.routes[i] = self._shortest(i, proof.best.routes.get(i, ()))
+        self._report_cost()
 
     def _shortest(self, i: int, tasks: tuple[int, ...]) -> list[int]:
         """Return the stops of the shortest route of robot i that serves exactly these tasks."""

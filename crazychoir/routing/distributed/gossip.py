@@ -89,7 +89,11 @@ class Gossip:
             news = yield from improve_bound(
                 self.bound, self._member, self.pool, pi, settings.columns.batch, reward
             )
-            if not news or value - self.bound.value <= self._member.tolerance(value):
+            if (
+                not news
+                or value - self.bound.value <= self._member.tolerance(value)
+                or self._member.budget.is_over
+            ):
                 break
             for robot, column in self.pool.items():
                 self.master.add(robot, [column])
@@ -110,7 +114,10 @@ class Gossip:
                 size = len(self.master)
                 best = self._priced()
                 self._latest = k if len(self.master) > size or learned else self._latest
-            if k - self._latest > self._member.place.diameter:
+            if (
+                k - self._latest > self._member.place.diameter
+                or self._member.budget.is_over
+            ):
                 break
         return best
 
@@ -139,7 +146,7 @@ class Gossip:
                 if member.speaks
                 else []
             )
-            if not self.master.add(self._i, own):
+            if not self.master.add(self._i, own) or member.budget.is_spent:
                 member.report(relaxed=float(best.value))
                 return best
 

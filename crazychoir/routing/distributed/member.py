@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from crazychoir.optimization.rounds.budget import NO_BUDGET, Budget, BudgetSettings
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.plan import hash_json
 from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
@@ -15,6 +16,9 @@ from crazychoir.routing.pricing.route_table import (
     exceeds_label_limit,
 )
 from crazychoir.types import Vec
+
+EQUAL_COST_TOLERANCE = 1e-9
+"""m or s: costs of plans that differ by at most this count as equal."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +100,26 @@ class SearchSettings:
 
 
 @dataclass(frozen=True)
+class AnytimeSettings:
+    """How the robots search while a budget of seconds or of search steps lasts."""
+
+    starters: int = 1
+    """Number of robots that look for a first plan."""
+    first_passes: int = 3
+    """Passes before the relaxation of the problem and its proof."""
+    first_steps: int = 40_000
+    """Search steps of a leader in the first pass; each further pass has twice as many."""
+    most_steps: int = 80_000
+    """Largest number of search steps of a leader in a pass."""
+    temperature: float = 0.15
+    """First temperature, as SearchOptions.first_temperature: low, to keep most of the plan."""
+    cluster: tuple[int, int] = (100, 200)
+    """Largest number of robots and of tasks in a cluster; a smaller team is one cluster."""
+    leaders: int = 1
+    """Leaders of each cluster."""
+
+
+@dataclass(frozen=True)
 class ProofSettings:
     """How the robots prove a plan optimal."""
 
@@ -127,6 +151,10 @@ class RoutingSettings:
     """How the robots search for plans."""
     proof: ProofSettings = ProofSettings()
     """How the robots prove a plan optimal."""
+    anytime: AnytimeSettings = AnytimeSettings()
+    """How the robots search while a budget lasts."""
+    budget: BudgetSettings = NO_BUDGET
+    """What the robots may spend."""
 
 
 @dataclass(frozen=True)
@@ -181,6 +209,8 @@ class RoutingMember:
     """Subject of the messages of the present rounds."""
     bytes_by_kind: dict[str, int] = field(default_factory=dict)
     """Bytes of payload sent, by kind of message."""
+    curve: list[tuple[int, float]] = field(default_factory=list)
+    """(search steps, cost in m or s) of each plan that serves all tasks."""
     fixed: float = 0.0
     """m: the highest fixed cost of a robot; 0 before the robots have introduced themselves."""
     reach: float = 0.0
@@ -197,6 +227,7 @@ class RoutingMember:
     def __post_init__(self) -> None:
         self.alike = self.alike or {i: (i,) for i in range(self.place.robots)}
         self.reach = self.reach or bound_reach(self.local)
+        self.budget = Budget(self.settings.budget, self.place.diameter)
 
     @property
     def vehicle_weight(self) -> float:
@@ -305,6 +336,17 @@ class RoutingMember:
         return hash_json(
             [common, method, asdict(self.settings), place.robots, place.diameter]
         )
+
+    def report_plan(self, cost: float, complete: bool = True) -> None:
+        """Report the cost of the plan in force in m, and keep it if it has changed.
+
+        complete: whether the plan serves all tasks that must be served.
+        """
+        self.report(cost=cost)
+        if not complete:
+            return
+        if not self.curve or abs(self.curve[-1][1] - cost) > EQUAL_COST_TOLERANCE:
+            self.curve.append((self.budget.work, cost))
 
     def report(self, **news: object) -> None:
         """Replace fields of `progress`."""

@@ -1,7 +1,7 @@
 """Pickup and delivery solved by the robots themselves: the rounds of one robot."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from crazychoir.bus.codec import encode
 from crazychoir.errors import ConfigError, SolverError
 from crazychoir.optimization.rounds.agreement import flood_values
+from crazychoir.optimization.rounds.budget import BudgetSettings
 from crazychoir.optimization.rounds.program import Exchange, Program
 from crazychoir.routing.distributed import distributed_columns, insertion_bids
 from crazychoir.routing.distributed.column_recovery import (
@@ -19,6 +20,7 @@ from crazychoir.routing.distributed.distributed_columns import DistributedColumn
 from crazychoir.routing.distributed.member import (
     GraphPosition,
     MethodProgress,
+    ProofSettings,
     RoutingMember,
     RoutingSettings,
 )
@@ -36,8 +38,12 @@ PRICE_METHODS = ("resource-columns", "resource", "resource-argmax")
 """Methods that add up task prices: they need an objective that is such a sum."""
 CLAIM_METHODS = ("resource", "resource-argmax")
 """Methods in which robots claim every task: they cannot refuse a task."""
-PLANNING_METHODS = ("columns", *PRICE_METHODS, *insertion_bids.BIDDING_METHODS)
+ANYTIME_METHOD = "columns"
+"""The method that searches for better plans while a budget lasts."""
+PLANNING_METHODS = (ANYTIME_METHOD, *PRICE_METHODS, *insertion_bids.BIDDING_METHODS)
 """Names of all methods; the first is the default."""
+PLAN_OF_NOTHING = TaskPartition({}, 0.0, {})
+"""The only plan, and therefore an optimal one, if there are no tasks."""
 PROOF_TOLERANCE_FACTOR = 2.0
 """The bound may exceed the cost by this number of tolerances.
 
@@ -105,6 +111,15 @@ class PickupDelivery(Program[Solution]):
         Values in m, None while unknown.
         """
         super().__init__()
+        self._end_word = self._member.budget.word()
+
+    def start_clock(self, now: Callable[[], float]) -> None:
+        """Let the seconds of the budget begin; now: returns the time in s."""
+        self._member.budget.start_clock(now)
+
+    def interrupt(self) -> None:
+        """Let the team end with its best plan, as soon as all robots know it."""
+        self._member.budget.interrupt()
 
     @property
     def solution(self) -> Solution:
@@ -120,9 +135,18 @@ class PickupDelivery(Program[Solution]):
         return self.result
 
     @property
+    def work_curve(self) -> list[tuple[int, float]]:
+        """(search steps, cost in m or s) of each better plan until now."""
+        return self._member.curve
+
+    @property
     def progress(self) -> MethodProgress:
         """Phase, round, cost so far, unserved demand."""
         return self._member.progress
+
+    def message(self) -> Any:
+        """Return the message of this round, with the end of the computation if one is known."""
+        return [self._end_word, super().message()]
 
     def step(self, heard: Mapping[int, Any]) -> None:
         """Process the neighbours' messages of this round."""
@@ -132,7 +156,9 @@ class PickupDelivery(Program[Solution]):
         member.bytes_by_kind[member.kind] = (
             member.bytes_by_kind.get(member.kind, 0) + size
         )
-        super().step(heard)
+        member.budget.begin_round(self.k + 1, (word for word, _ in heard.values()))
+        super().step({j: message for j, (_, message) in heard.items()})
+        self._end_word = member.budget.word()
         now = member.progress
         if not self.history or (now.relaxed, now.cost) != self.history[-1][1:]:
             self.history.append((now.round, now.relaxed, now.cost))
@@ -140,7 +166,9 @@ class PickupDelivery(Program[Solution]):
     def run(self) -> Exchange[Solution]:
         """Compute prices and a plan, and confirm the plan."""
         yield from self._hello()
-        if self._method == "columns":
+        if not len(self._member.local.tasks):
+            return (yield from self._confirm(PLAN_OF_NOTHING, ()))
+        if self._method == ANYTIME_METHOD:
             assignment = yield from DistributedColumns(self._member).run()
             return (
                 yield from self._confirm(
@@ -197,6 +225,7 @@ class PickupDelivery(Program[Solution]):
         """
         member = self._member
         place = self._member.place
+        ended_by = member.budget.end_reason
         member.report(phase="confirm", violation=0.0)
         member.kind = "plans"
         nodes, length = self._own_route(assignment)
@@ -248,7 +277,8 @@ class PickupDelivery(Program[Solution]):
                 f"robot {place.robot}: confirmation",
                 f"different plans at the robots: {heard}",
             )
-        member.report(phase="done", cost=cost)
+        member.report(phase="done")
+        member.report_plan(cost)
         bound, vehicles_bound = self._bound(assignment, cost, vehicles)
         return Solution(
             bytes_by_kind=dict(member.bytes_by_kind),
@@ -263,6 +293,9 @@ class PickupDelivery(Program[Solution]):
             plan_digest=digest,
             routes=(route,) if nodes else (),
             vehicles_bound=vehicles_bound,
+            ended_by=None if ended_by is None else ended_by.value,
+            work=member.budget.work,
+            work_curve=tuple(member.curve),
         )
 
     def _bound(
@@ -306,6 +339,25 @@ class PickupDelivery(Program[Solution]):
             )
         stops = list(assignment.stops.get(local.robot, ()))
         return stops, local.vehicle.length(stops) if stops else 0.0
+
+
+def choose_routing_settings(
+    method: str, budget: BudgetSettings, prove: bool = False
+) -> RoutingSettings:
+    """Return the settings of a method.
+
+    budget: what the team may spend.
+    prove: whether to prove the plan optimal, whatever it costs.
+    Raises ConfigError for a budget if the method does not search until it is spent.
+    """
+    if budget.is_given and method != ANYTIME_METHOD:
+        given = "seconds" if budget.seconds is not None else "work"
+        raise ConfigError(
+            given,
+            f"a budget for the method {method}",
+            f"none, or the method {ANYTIME_METHOD}: the others end by themselves",
+        )
+    return RoutingSettings(proof=ProofSettings(prove=prove), budget=budget)
 
 
 def _require_prices(local: LocalProblem, method: str) -> None:

@@ -7,11 +7,9 @@ import numpy as np
 
 from crazychoir.routing.distributed.cluster_problem import measure_route
 from crazychoir.routing.distributed.clusters import Stops, list_unserved_tasks
+from crazychoir.routing.distributed.member import EQUAL_COST_TOLERANCE
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
-
-EQUAL_COST_TOLERANCE = 1e-9
-"""m: costs of plans that differ by at most this count as equal."""
 
 
 class PlanMeasure:

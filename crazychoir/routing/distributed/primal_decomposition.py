@@ -56,7 +56,8 @@ class PriceRounds:
             heard = yield [mu, worst]
             change = self._trade(k, mu, {j: message[0] for j, message in heard.items()})
             worst = max([worst, *(float(message[1]) for message in heard.values())])
-            if (k + 1) % window == 0 and worst <= member.settings.prices.still:
+            still = (k + 1) % window == 0 and worst <= member.settings.prices.still
+            if still or member.budget.is_over:
                 return
 
     def _price(self, program: ColumnProgram, k: int) -> Vec:

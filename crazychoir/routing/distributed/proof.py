@@ -125,6 +125,8 @@ class PlanProof:
             settings.proof.first_gap * max(1.0, abs(self._bound.value)), self._own_gap()
         )
         for _ in range(settings.columns.passes):
+            if self.best is not None and self._member.budget.is_over:
+                return
             near = self._near(gap)
             if (yield from self._is_more(near, most)):
                 return
@@ -233,6 +235,8 @@ class PlanProof:
             (i, c) for i, c in self._pool.items() if self._bound.excess(i, c) <= gap
         ]
         if len(useful) > settings.proof.small and self._i >= settings.proof.searchers:
+            return None
+        if self.best is not None and self._member.budget.is_spent:
             return None
         refusals = self._refusals()
         useful += refusals

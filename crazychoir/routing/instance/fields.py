@@ -396,9 +396,13 @@ class InstanceFields:
     def _list(self, key: str) -> list[Any]:
         values = self._raw[key]
         like = EQUALLY_LONG_LISTS[key]
-        if not isinstance(values, list) or not values:
+        if not isinstance(values, list):
             raise self._checks.error(
-                key, describe_size(values), "a list that is not empty", "Add entries."
+                key, describe_size(values), "a list", "Put its entries into brackets."
+            )
+        if key == "home" and not values:
+            raise self._checks.error(
+                key, describe_size(values), "a list that is not empty", "Add robots."
             )
         other = self._raw[like]
         if isinstance(other, list) and len(other) != len(values):

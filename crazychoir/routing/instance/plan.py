@@ -207,6 +207,12 @@ class Solution:
     `lower_bound` then holds for plans with that number of vehicles. It is None if this plan has
     more.
     """
+    ended_by: str | None = None
+    """Why the computation was ended early: "seconds", "work" or "interrupted"; None if it was not."""
+    work: int = 0
+    """Search steps that the team made one after the other."""
+    work_curve: tuple[tuple[int, float], ...] = ()
+    """(search steps until then, cost) of each better plan."""
 
     @property
     def plan(self) -> RoutePlan:
@@ -218,6 +224,7 @@ class Solution:
         raw = {k: v for k, v in self.__dict__.items() if k != "routes"}
         return raw | {
             "disclosed": list(self.disclosed),
+            "work_curve": [list(point) for point in self.work_curve],
             "routes": [route.to_json() for route in self.routes],
         }
 
@@ -225,7 +232,9 @@ class Solution:
     def from_json(cls, raw: dict[str, Any]) -> "Solution":
         """Return the solution that `to_json` wrote."""
         routes = tuple(Route.from_json(route) for route in raw["routes"])
-        return cls(**(raw | {"disclosed": tuple(raw["disclosed"]), "routes": routes}))
+        curve = tuple((work, cost) for work, cost in raw["work_curve"])
+        lists = {"disclosed": tuple(raw["disclosed"]), "work_curve": curve}
+        return cls(**(raw | lists | {"routes": routes}))
 
 
 def _decode_stop(node: int, tasks: int) -> Stop:

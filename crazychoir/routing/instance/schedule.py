@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
 from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.instance.plan import Route, Stop
@@ -85,9 +87,9 @@ def is_timed(instance: Instance) -> bool:
     tasks = instance.tasks
     windows = (
         tasks.earliest.any(),
-        math.isfinite(tasks.latest.min()),
+        np.isfinite(tasks.latest).any(),
         instance.window[:, 0].any(),
-        math.isfinite(instance.window[:, 1].min()),
+        np.isfinite(instance.window[:, 1]).any(),
     )
     return OBJECTIVE_NAMES.makespan in instance.objective or any(windows)
 

@@ -143,7 +143,7 @@ class ValueChecks:
                     least=-INSTANCE_LIMITS.distance_or_speed,
                     most=INSTANCE_LIMITS.distance_or_speed,
                 )
-        return np.array(rows, dtype=float)
+        return np.array(rows, dtype=float).reshape(len(rows), wanted)
 
     def matrix(self, key: str, rows: object, size: int) -> Mat:
         """Return (size, size) m: a matrix of distances."""

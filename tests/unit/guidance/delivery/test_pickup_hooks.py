@@ -64,6 +64,22 @@ def test_what_is_flown_passes(swarm, more):
     assert MISSION.check(swarm(more)) == []
 
 
+def test_a_budget_of_work_ends_the_search_of_the_mission(swarm):
+    config = swarm(planning_work=0)
+    assert MISSION.check(config) == []
+    result = fly_fast(config, MISSION)
+    assert result["success"]
+    assert {own["ended_by"] for own in result["results"].values()} == {"work"}
+
+
+def test_a_mission_without_tasks_succeeds_on_the_ground(swarm):
+    config = swarm({"pickup": [], "delivery": [], "load": []})
+    assert MISSION.check(config) == []
+    result = fly_fast(config, MISSION)
+    assert (result["success"], result["cost"]) == (True, 0.0)
+    assert [own["served"] for own in result["results"].values()] == [[], []]
+
+
 WINDOWS = {"pickup": [[60.0, 90.0], None], "delivery": [None, None]}
 SOME = {"penalty": [2.0, None]}
 
@@ -88,6 +104,7 @@ SOME = {"penalty": [2.0, None]}
             r"mission_options\.methd = .*no such key.*Did you mean method",
         ),
         (SOME, {"method": "resource"}, r"method resource: found a finite penalty"),
+        ({}, {"method": "cbba", "planning_work": 9}, r"^work: found a budget"),
         (
             {"pickup": [[50.0, 0.0], [-1.0, 0.0]]},
             {},

@@ -460,7 +460,8 @@ def test_disclosed_names_all_that_introductions_tell(graph):
     told = {}
 
     def listen(message):
-        for item in message if isinstance(message, list) else ():
+        _, content = message
+        for item in content if isinstance(content, list) else ():
             if isinstance(item, list) and len(item) == 2 and isinstance(item[1], dict):
                 told.update(item[1])
         return message

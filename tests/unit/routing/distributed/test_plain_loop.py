@@ -131,7 +131,8 @@ def test_claims_by_name_tell_no_share(small, graph, method, names_only):
     bids = []
 
     def listen(message):
-        bids.extend(bid for bid in message if isinstance(bid, list) and len(bid) == 3)
+        _, content = message
+        bids.extend(bid for bid in content if isinstance(bid, list) and len(bid) == 3)
         return message
 
     solve_in_loop(instance, graph("ring", 4), method, carry=listen)
@@ -478,10 +479,11 @@ def test_neighbours_with_other_tasks_or_options_are_noticed(small):
 def test_the_first_message_is_light_and_the_table_is_made_in_a_step(small):
     instance, _ = small("limited")
     agent = PickupDelivery(instance.local(0), [1], 4, 3, {1: 1}, "resource-columns")
-    assert isinstance(agent.message(), str)
+    _, fingerprint = agent.message()
+    assert isinstance(fingerprint, str)
     assert "table" not in vars(agent._member)
     agent.step({1: agent.message()})
-    mu, _ = agent.message()
+    _, (mu, _) = agent.message()
     assert isinstance(mu, np.ndarray)
     assert agent.progress.phase == "prices"
     with pytest.raises(SolverError, match="not done in round 1"):
@@ -492,12 +494,13 @@ def test_a_damaged_plan_is_noticed(small, graph):
     instance, _ = small("limited")
 
     def damage(message):
+        end, content = message
         if (
-            isinstance(message, list)
-            and len(message) == 5
-            and isinstance(message[4], str)
+            isinstance(content, list)
+            and len(content) == 5
+            and isinstance(content[4], str)
         ):
-            return [*message[:2], [[9, [0]]], *message[3:]]
+            return [end, [*content[:2], [[9, [0]]], *content[3:]]]
         return message
 
     with pytest.raises(SolverError, match="its hash differs"):
