@@ -117,14 +117,20 @@ class PredictiveControl:
     robots j. They are written as max_j y_j,t - reach <= C x_t <= min_j y_j,t + reach: two rows an
     entry and step, for any number of other robots.
 
+    With a pull, the cost has another term  pull / 2 sum_t=1..T |y_t - z_t|^2  with moving targets z.
+
     of: the Prediction
     reach: largest distance to the others, in m or the unit of y; None for no such constraint
+    pull: cost of the distance to the targets, 0 or more; 0 for no targets
     Raises ConfigError if R is not positive definite.
     """
 
-    def __init__(self, of: Prediction, reach: float | None = None) -> None:
+    def __init__(
+        self, of: Prediction, reach: float | None = None, pull: float = 0.0
+    ) -> None:
         self.of = of
         self.reach = reach
+        self.pull = pull
         self.F, self.H = _condense_model(of.A, of.B, of.T)
         weights = np.kron(np.eye(of.T), of.Q)
         weights[-len(of.A) :, -len(of.A) :] = 0.0 if of.P is None else of.P
@@ -132,6 +138,10 @@ class PredictiveControl:
             self.H.T @ weights @ self.H + np.kron(np.eye(of.T), of.R)
         )
         self._slope = 2.0 * self.H.T @ weights @ self.F
+        y = np.kron(np.eye(of.T), of.C)
+        self._drag = pull * (y @ self.H).T
+        self._hessian += self._drag @ y @ self.H
+        self._slope += self._drag @ y @ self.F
         end = np.zeros((0, len(of.A))) if of.Z is None else of.Z
         self._end = end @ self.F[-len(of.A) :]
         self._ends = end @ self.H[-len(of.A) :]
@@ -178,15 +188,17 @@ class PredictiveControl:
             P, rows, np.column_stack([self._ends, np.zeros(len(self._ends))])
         )
 
-    def solve(self, x: Vec, others: Mat) -> Mat | str:
+    def solve(self, x: Vec, others: Mat, targets: Mat | None = None) -> Mat | str:
         """Return the inputs (T, m) from x (n,), or the reason why there are none.
 
         others: (J, T, d), the y of the J other robots at t = 1..T
+        targets: (T, d), z at t = 1..T; None for 0
         The reason is "infeasible", "too many steps", or "not finite".
         """
-        found = self.program.solve(
-            self._slope @ x, self._bounds(x, others), -self._end @ x
-        )
+        slope = self._slope @ x
+        if targets is not None:
+            slope = slope - self._drag @ targets.reshape(-1)
+        found = self.program.solve(slope, self._bounds(x, others), -self._end @ x)
         return found if isinstance(found, str) else found.reshape(self.of.T, -1)
 
     def approach(self, x: Vec, others: Mat) -> Mat | str:

@@ -43,8 +43,12 @@ class CheckedFunction:
         self.name = name
         self.function = function
 
-    def __call__(self, k: int, *x: Vec, shape: tuple[int, ...] | None = None) -> Vec:
-        """Return the value at x in round k."""
+    def __call__(self, k: int, *x: Any, shape: tuple[int, ...] | None = None) -> Vec:
+        """Return the value at x in round k.
+
+        x: arguments of the function, the first one an array
+        shape: shape of the value; None for the shape of the first argument
+        """
         wanted = x[0].shape if shape is None else shape
         where = f"agent {self.i}: {self.name}, round {k}"
         try:
@@ -109,9 +113,13 @@ class Samples:
 
     def __call__(self, x: Vec) -> Vec:
         """Return the mean gradient of a new mini-batch."""
-        drawn = self._chance.sample(range(len(self.samples)), self.batch)
-        mean: Vec = np.mean(
-            [np.asarray(self.gradient(x, self.samples[s]), dtype=float) for s in drawn],
-            axis=0,
-        )
+        mean: Vec = np.mean([self.one(x, s) for s in self.draw()], axis=0)
         return mean
+
+    def draw(self) -> list[int]:
+        """Return the indices of the samples of a new mini-batch."""
+        return self._chance.sample(range(len(self.samples)), self.batch)
+
+    def one(self, x: Vec, s: int) -> Vec:
+        """Return the gradient at x of the loss of the sample with index s."""
+        return np.asarray(self.gradient(x, self.samples[s]), dtype=float)
