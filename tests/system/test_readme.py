@@ -299,6 +299,7 @@ def algorithms():
                 name: one
                 for name, one in inspect.getmembers(module, inspect.isclass)
                 if one.__module__ == module.__name__
+                and not name.startswith("_")
                 and all(hasattr(one, part) for part in ("message", "step", "done"))
             }
     return found

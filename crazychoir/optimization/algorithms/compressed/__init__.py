@@ -1,0 +1,1 @@
+"""Algorithms that send compressed messages and keep the error for later rounds."""

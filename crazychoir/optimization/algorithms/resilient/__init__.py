@@ -1,0 +1,1 @@
+"""Agreement although some agents lie about their values."""

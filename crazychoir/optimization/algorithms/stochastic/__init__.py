@@ -1,0 +1,1 @@
+"""Gradient tracking for losses of many samples."""

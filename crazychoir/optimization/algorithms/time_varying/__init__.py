@@ -1,0 +1,1 @@
+"""Costs and states that change while the team computes."""
