@@ -35,6 +35,10 @@ Method = Annotated[
         examples=[PLANNING_METHODS[0]],
     ),
 ]
+SearchSteps = Annotated[
+    int,
+    Meta(ge=0, description="a number of steps, not negative", examples=[200_000]),
+]
 
 
 class PickupOptions(SwarmTable, frozen=True, kw_only=True):
@@ -51,7 +55,7 @@ class PickupOptions(SwarmTable, frozen=True, kw_only=True):
 
     None: the method ends by itself. Only the method columns has a budget.
     """
-    planning_work: Annotated[int, Meta(ge=0)] | None = None
+    planning_work: SearchSteps | None = None
     """Search steps in place of seconds: the same number gives the same plan on every machine."""
 
     @property
