@@ -71,7 +71,7 @@ class LandingRepeater:
             if self._told_ns is None or self._link.is_quiet():
                 self._told_ns = now_ns
             self._transmitter.transmit(self.command)
-        elif self._clock.now() < self._landed_at or self._planner_flies():
+        elif self._is_landing():
             self._transmitter.relax()
         else:
             self._due_ns = now_ns + round(REPEAT_RULES.stop_period * NS_PER_SECOND)
@@ -85,7 +85,7 @@ class LandingRepeater:
         if self.command is None or not self._estimate.is_flying:
             return False
         if self._landed_at < math.inf:
-            return self._clock.now() < self._landed_at or self._planner_flies()
+            return self._is_landing()
         return (
             self._link.is_quiet()
             or self._told_ns is None
@@ -93,16 +93,21 @@ class LandingRepeater:
             < REPEAT_RULES.vain_time * NS_PER_SECOND
         )
 
-    def _planner_flies(self) -> bool:
-        """Return whether the firmware says that its planner still flies the drone.
+    def _is_landing(self) -> bool:
+        """Return whether the landing that the planner has confirmed is not over.
 
-        Then the landing takes longer than planned, as in a virtual drone on a loaded machine, and a stop of the
-        motors would let the drone fall.
+        It may take longer than planned, as in a virtual drone on a loaded machine, and a stop of the motors would
+        let the drone fall. So the firmware is believed that its planner still flies the drone, but not for ever,
+        and only while the drone is heard.
         """
+        late = self._clock.now() - self._landed_at
+        if late < 0.0:
+            return True
         bits = self._estimate.supervisor
-        return bool(bits & SUPERVISOR_BITS.planned) and not (
-            bits & SUPERVISOR_BITS.plan_ended
-        )
+        is_planned = bool(bits & SUPERVISOR_BITS.planned)
+        has_ended = bool(bits & SUPERVISOR_BITS.plan_ended)
+        is_believed = late < REPEAT_RULES.longest_overrun and not self._link.is_quiet()
+        return is_planned and not has_ended and is_believed
 
     def hear(self, packet: Packet) -> None:
         """Take an answer of the planner on board; other packets are ignored."""

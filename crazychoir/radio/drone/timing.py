@@ -65,6 +65,8 @@ class RepeatRules:
     """s of unanswered commands to land after which the motors may be stopped instead. The link
     works meanwhile: otherwise the drone may still land when it receives the command.
     """
+    longest_overrun: float = 10.0
+    """s after its planned end in which a landing is not ended while the firmware says that its planner flies."""
     stop_period: float = 0.5
     """s between two commands to stop, for a drone that stands."""
     watchdog_period: float = 0.25e-3 * FIRMWARE_TIMEOUTS.watchdog

@@ -174,3 +174,26 @@ async def test_a_plan_that_is_refused_is_counted(clock) -> None:
             Packet(CrtpPort.HIGH_LEVEL, 0, bytes([*PACKET_FORMS[name].head, 0, 0, 1]))
         )
     assert drone.landing.refused_plans == 2
+
+
+@virtual
+async def test_a_planner_that_never_ends_its_landing_is_believed_for_a_while_if_heard(
+    clock,
+) -> None:
+    for silence, waits in [(0.0, REPEAT_RULES.longest_overrun), (5.0, 0.0)]:
+        drone, kept = made(clock)
+        tell(drone, READY | SUPERVISOR_BITS.flying | SUPERVISOR_BITS.planned)
+        drone.commands.send(LAND)
+        drone.landing.go_on()
+        drone.landing.hear(
+            Packet(CrtpPort.HIGH_LEVEL, 0, bytes([*PACKET_FORMS["land"].head, 0, 0, 0]))
+        )
+        kept.silence = silence
+        kept.sent.clear()
+        over = clock.now() + LAND.flat[4] + REPEAT_RULES.stop_delay + waits
+        while head("planner_stop") not in kept.sent:
+            assert clock.now() < over + 1.0
+            assert drone.landing.is_under_way() == (clock.now() < over)
+            await clock.sleep(0.01)
+            drone.landing.go_on()
+        assert clock.now() >= over
