@@ -13,6 +13,7 @@ from crazychoir.cli.setup.crazyswarm_files import (
     read_ros_parameters,
     read_yaml,
 )
+from crazychoir.config.radio_checks import LEAST_OWN_POSE_RATE
 from crazychoir.config.reader import show_value, write_value
 from crazychoir.config.tables import MocapTable
 from crazychoir.errors import ConfigError
@@ -104,6 +105,8 @@ class ImportedSwarm:
     """[mocap]."""
     control: dict[str, Any] = field(default_factory=dict)
     """[control]."""
+    radio: dict[str, Any] = field(default_factory=dict)
+    """[radio]."""
     fence: dict[str, Any] = field(default_factory=dict)
     """[fence]."""
     remarks: ImportRemarks = field(default_factory=ImportRemarks)
@@ -118,6 +121,7 @@ class ImportedSwarm:
         tables = {
             "[fence]": self.fence,
             "[control]": self.control,
+            "[radio]": self.radio,
             "[mocap]": self.mocap,
             "[defaults]": self.defaults,
         }
@@ -209,6 +213,8 @@ class _RobotReader:
         self.swarm.logs = self._build_logs(topics)
         self.swarm.fence = _build_fence([row["home"] for row in self.swarm.drones])
         self._choose_sender()
+        if any(row.get("pose") == "onboard" for row in self.swarm.drones):
+            self.swarm.radio = {"log_rate": LEAST_OWN_POSE_RATE}
 
     def _find_broadcasts(self) -> dict[str, Any]:
         return find_table(self.common, "broadcasts", f"{self.path.name}: all")

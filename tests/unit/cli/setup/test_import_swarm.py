@@ -114,6 +114,16 @@ def test_a_swarm_to_try_has_virtual_drones_and_no_decks():
     assert any("ring.effect = 16: virtual drones" in x for x in swarm.remarks.lines)
 
 
+def test_drones_that_no_camera_sees_send_their_own_poses_often_enough(tmp_path):
+    swarm = import_text(
+        tmp_path, ROBOTS.replace("{tracking: vendor}", "{enabled: false}")
+    )
+    config = SwarmConfig.loads(swarm.format(FILES), "lab.toml")
+    assert config.drone(1).pose == "onboard"
+    assert config.radio.log_rate == 25.0
+    assert imported()[1].radio == {}
+
+
 def test_many_drones_of_a_dongle_are_sent_places(tmp_path):
     rows = "".join(
         f"  cf{k}: {{uri: 'radio://0/80/2M/E7E7E7E70{k}', initial_position: [{k}, 0, 0], type: a}}\n"
