@@ -213,8 +213,6 @@ class SearchPass:
     """Leaders of each cluster."""
     temperature: float
     """First temperature, see SearchOptions."""
-    is_fresh: bool = False
-    """Whether the searches begin without routes, not with the plan in force."""
 
 
 def list_usual_passes(

@@ -257,7 +257,7 @@ class DistributedColumns:
         rank = self._order.robot_rank[self._i]
         new = reoptimize_cluster(
             self._robots,
-            {} if one.is_fresh else self.routes,
+            self.routes,
             own,
             self._left_out,
             one.steps,
