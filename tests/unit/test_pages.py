@@ -27,7 +27,11 @@ PAGES = [
 FENCE = re.compile(r"^( *)```(\w*)\n(.*?)^\1```$", re.DOTALL | re.MULTILINE)
 EXAMPLES = {
     "crazychoir/bus/README.md": "bus_example.py",
+    "crazychoir/optimization/algorithms/compressed/README.md": "few_bytes.py",
     "crazychoir/optimization/algorithms/exact_gradient/README.md": "sparse.py",
+    "crazychoir/optimization/algorithms/resilient/README.md": "liars.py",
+    "crazychoir/optimization/algorithms/stochastic/README.md": "samples.py",
+    "crazychoir/optimization/algorithms/time_varying/README.md": "moving.py",
     "crazychoir/team/README.md": "team_example.py",
 }
 MOST_WORDS = 90  # a paragraph
