@@ -75,7 +75,7 @@ DRONE = "[[drones]]\nid = 0\nhome = [0.0, 0.0, 0.0]\n"
             ["--only", "2,3 without a swarm file", "--swarm"],
         ),
         (["deploy/lab6.toml", "--only", "x"], ["--only", "0 to 5"]),
-        (["deploy/lab6.toml", "--only", "17"], ["--only: found 17", "0 to 5"]),
+        (["deploy/lab6.toml", "--only", "17"], ["--only: found drone 17", "0 to 5"]),
         (["deploy/lab6.toml", "--only", "2", "--fast"], ["--only", "--fast"]),
         (
             ["bearing_formation", "--fast", "--drones", "31"],

@@ -3,11 +3,12 @@
 import re
 from dataclasses import dataclass
 from difflib import get_close_matches
+from typing import TYPE_CHECKING
 
-from crazychoir.config.number_lists import parse_spans
-from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
-from crazychoir.team.graph import describe_ids
+
+if TYPE_CHECKING:
+    from crazychoir.config.swarm_config import SwarmConfig
 
 CHOICE_FORM = "drones with commas between, as 3,5-7 or by their names"
 """Form of a choice, for errors."""
@@ -26,11 +27,13 @@ class DroneChoice:
     words: tuple[int | str, ...]
     """Ids and names, in the order of the text."""
 
-    def find(self, config: SwarmConfig) -> list[int]:
+    def find(self, config: "SwarmConfig") -> list[int]:
         """Return the ids of the drones, each once.
 
         Raises ConfigError for an id or a name that the swarm does not have.
         """
+        from crazychoir.team.graph import describe_ids
+
         id_by_name = {drone.name: drone.id for drone in config.drones if drone.name}
         found: dict[int, None] = {}
         for word in self.words:
@@ -54,6 +57,8 @@ def parse_choice(text: str, option: str) -> DroneChoice:
 
     Raises ConfigError for another form.
     """
+    from crazychoir.config.number_lists import parse_spans
+
     words: list[int | str] = []
     for part in text.split(","):
         name = _NAME_PART.fullmatch(part)
