@@ -66,6 +66,16 @@ FIRMWARE_FACTORS = {
     "acc.x": STANDARD_GRAVITY,
 }
 """SI units in the firmware's unit, by the first column of an array; 1 for others."""
+LARGEST_VALUES = {
+    "p": (100.0, "m"),
+    "gyro": (40.0, "rad/s"),
+    "acc": (200.0, "m/s^2"),
+    "duty": (1.0, "shares of the full duty"),
+    "vbat": (6.0, "V"),
+}
+"""Largest size of a number in each array, and its unit: larger ones are in another unit."""
+LONGEST_USUAL_STEP = 0.2
+"""s between two rows, the median of a flight: a longer one is in another unit."""
 FIRMWARE_LOGS = (
     *TABLE_NAMES["gyro"][1],
     *TABLE_NAMES["acc"][1],
@@ -111,6 +121,13 @@ def regularise(raw: Mapping[str, Mat], where: str) -> dict[str, Mat]:
             f"{rows} rows",
             f"{COLUMN_RULES.fewest_rows} rows or more with growing times",
         )
+    usual_step = float(np.median(np.diff(t)))
+    if usual_step > LONGEST_USUAL_STEP:
+        raise ConfigError(
+            f"{where}: t",
+            f"{usual_step:g} from row to row",
+            f"s, at most {LONGEST_USUAL_STEP:g} from row to row",
+        )
     grid = np.arange(t[0], t[-1] + 1e-9, FLIGHT_TIME_STEP)
     columns: dict[str, Mat] = {"t": grid - grid[0]}
     for name, width in ARRAY_WIDTHS.items():
@@ -125,6 +142,7 @@ def regularise(raw: Mapping[str, Mat], where: str) -> dict[str, Mat]:
             raise ConfigError(
                 f"{where}: {name}", "a number that is not finite", "finite numbers"
             )
+        _check_unit(column, name, where)
         flat = column.reshape(rows, width)
         if name == "q":
             flat = make_continuous(flat)
@@ -135,6 +153,23 @@ def regularise(raw: Mapping[str, Mat], where: str) -> dict[str, Mat]:
     if steps.max() > COLUMN_RULES.longest_step:
         columns["gap"] = np.maximum(columns.get("gap", 0.0), steps)
     return columns
+
+
+def _check_unit(column: Mat, name: str, where: str) -> None:
+    """Raise ConfigError if the numbers of an array are too large for its unit."""
+    if name not in LARGEST_VALUES:
+        return
+    limit, unit = LARGEST_VALUES[name]
+    largest = float(np.abs(column).max())
+    if largest > limit:
+        firmware = TABLE_NAMES[name][-1]
+        do = (
+            f"If these are numbers of the firmware, name the columns {', '.join(firmware)}."
+            if firmware[0] in FIRMWARE_FACTORS
+            else ""
+        )
+        allowed = f"{unit}, at most {limit:g}"
+        raise ConfigError(f"{where}: {name}", f"{largest:g}", allowed, do)
 
 
 def make_continuous(q: Mat) -> Mat:
@@ -175,7 +210,22 @@ def _read_table(path: Path) -> dict[str, Mat]:
         raise ConfigError(
             str(path), f"{len(names)} names", "one name for each column of numbers"
         )
-    return gather_arrays(dict(zip(names, numbers.T, strict=True)))
+    named = dict(zip(names, numbers.T, strict=True))
+    _refuse_parts(named, str(path))
+    return gather_arrays(named)
+
+
+def _refuse_parts(named: Mapping[str, Vec], where: str) -> None:
+    """Raise ConfigError if a table has some of the columns of an array, and not all."""
+    for choices in TABLE_NAMES.values():
+        if any(all(name in named for name in names) for names in choices):
+            continue
+        for names in choices:
+            there = [name for name in names if name in named]
+            if there:
+                missing = ", ".join(name for name in names if name not in named)
+                found = f"{', '.join(there)} without {missing}"
+                raise ConfigError(where, found, f"all of {', '.join(names)}, or none")
 
 
 def gather_arrays(named: Mapping[str, Vec]) -> dict[str, Mat]:
