@@ -83,7 +83,6 @@ class PDVRPGuidance(CFGuidance):
             method=self.method,
             settings=self.settings,
         )
-        solver.start_clock(self.member.clock.now)
         self.member.report = lambda: {
             "task": f"planning: {solver.progress.phase}",
             "round": solver.progress.round,

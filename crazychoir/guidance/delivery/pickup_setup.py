@@ -50,18 +50,17 @@ class PickupOptions(SwarmTable, frozen=True, kw_only=True):
     """How the integer plan is recovered, see PickupDelivery."""
     service_time: Seconds = 1.0
     """s at each stop, at least. A longer time of the instance holds."""
-    planning_seconds: Seconds | None = None
-    """s that the team searches for better plans, by the clock of the flight.
-
-    None: the method ends by itself. Only the method columns has a budget.
-    """
     planning_work: SearchSteps | None = None
-    """Search steps in place of seconds: the same number gives the same plan on every machine."""
+    """Steps that the team searches for better plans; the same number gives the same plan on every machine.
+
+    None: the method ends by itself. Only the method columns has a budget. Seconds are none: in simulation the time
+    of the flight stands still while a robot computes.
+    """
 
     @property
     def settings(self) -> RoutingSettings:
         """The settings of the method. Raises ConfigError if the method has no budget."""
-        budget = BudgetSettings(self.planning_seconds, self.planning_work)
+        budget = BudgetSettings(None, self.planning_work)
         return choose_routing_settings(self.method, budget)
 
 
