@@ -56,7 +56,7 @@ def choco_gamma(weights: Weights, omega: float) -> float:
 class _Choco(Mixing):
     """The part of both algorithms: public copies of the own value and of those of the neighbours."""
 
-    same: tuple[str, ...] = ("gamma",)
+    same: tuple[str, ...] = ("gamma", "compressor")
 
     def __init__(
         self,
@@ -202,7 +202,7 @@ class ChocoSGD(_Choco):
     algorithms with compressed communication", ICML, PMLR 97, 3478-3487.
     """
 
-    same = ("gamma", "step_size")
+    same = ("gamma", "compressor", "step_size")
 
     def __init__(
         self,

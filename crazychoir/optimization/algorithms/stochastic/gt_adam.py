@@ -74,7 +74,7 @@ class GTAdam(Tracking):
     1436-1448.
     """
 
-    same = ("step_size",)
+    same = ("step_size", "moments")
 
     def __init__(
         self,

@@ -186,3 +186,13 @@ def test_huge_and_vanishing_entries_do_not_break_the_message():
 def test_bad_arguments_are_named(make, error):
     with pytest.raises(ConfigError, match=error):
         make()
+
+
+def test_dithers_that_differ_are_named():
+    graph = ring(4)
+    agents = team(
+        graph,
+        lambda i, w: ChocoGossip(i, np.array([i]), w, Quantised(4, seed=i), 0.1, 5),
+    )
+    with pytest.raises(ConfigError, match="compressor"):
+        simulate(agents, graph)
