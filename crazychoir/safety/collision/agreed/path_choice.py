@@ -208,7 +208,7 @@ class PathChoice:
         for horizon in horizons:
             ahead = max(horizon, catching_up)
             then = wanted.future(wait + ahead)
-            if self._ends(then):
+            if horizon == horizons[0] and self._ends(then):
                 return True
             way = plan_catching_up(start, then.flat[0:12], ahead, self._a_max)
             room = compute_hard_path_room(find_peak_sideways_acceleration(way))
