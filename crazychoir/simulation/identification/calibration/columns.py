@@ -71,7 +71,7 @@ LARGEST_VALUES = {
     "gyro": (40.0, "rad/s"),
     "acc": (200.0, "m/s^2"),
     "duty": (1.0, "shares of the full duty"),
-    "vbat": (6.0, "V"),
+    "vbat": (30.0, "V"),
 }
 """Largest size of a number in each array, and its unit: larger ones are in another unit."""
 LONGEST_USUAL_STEP = 0.2
