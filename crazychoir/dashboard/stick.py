@@ -51,6 +51,9 @@ class StickSender:
     A drone that hears of no new velocity for STICK_TIMES.velocity_duration s comes to rest. Fence and
     collision filter act as on all velocities.
 
+    After another command, such as a hold, a stick that is held or a program that goes on sending does not take
+    the drone back: it must be released, or rest for STICK_TIMES.velocity_duration s, first.
+
     place: place on the network from which they are sent
     book: receipts, one for each flight by hand
     """
@@ -59,12 +62,17 @@ class StickSender:
         self._place = place
         self._book = book
         self._flights: dict[int, _StickFlight] = {}
+        # The flights that another command ended, and when a velocity for them last came, in s.
+        self._ended: dict[int, tuple[Receipt, float]] = {}
 
     def steer(self, drone: int, v: Point, yaw_rate: float) -> Receipt:
         """Send a velocity (3,) m/s, world, and a yaw rate in rad/s; zeros end the flight by hand.
 
         A stream may repeat its zeros: only the first ones are sent.
         """
+        ended = self._keep_ended(drone, is_release(v, yaw_rate))
+        if ended is not None:
+            return ended
         flight = self._flights.get(drone)
         if flight is None:
             receipt = self._book.add(STICK_VERB, (drone,), "by hand")
@@ -79,6 +87,18 @@ class StickSender:
         flight.sending = asyncio.get_running_loop().create_task(work)
         return flight.receipt
 
+    def _keep_ended(self, drone: int, is_released: bool) -> Receipt | None:
+        """Return the receipt of the flight that another command ended, if velocities still come for it."""
+        if drone not in self._ended:
+            return None
+        receipt, last = self._ended.pop(drone)
+        now = self._place.clock.now()
+        if now - last >= STICK_TIMES.velocity_duration:
+            return None
+        if not is_released:
+            self._ended[drone] = (receipt, now)
+        return receipt
+
     def flies(self, drone: int) -> bool:
         """Return whether a drone flies by hand."""
         return drone in self._flights
@@ -90,6 +110,8 @@ class StickSender:
             if flight is None or flight.sending is None:
                 continue
             flight.sending.cancel()
+            if not flight.is_released:
+                self._ended[i] = (flight.receipt, self._place.clock.now())
             if flight.receipt.open:
                 self._book.withdraw(flight.receipt, i, by)
 

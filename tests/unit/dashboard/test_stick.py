@@ -115,3 +115,24 @@ async def test_silent_drone_and_a_replay_do_not_fly_by_hand(clock):
     swarm.replays = True
     receipt = swarm.desk.steer(0, (0.1, 0.0, 0.0), 0.0)
     assert receipt.answers == {0: (ANSWER_TEXTS.refused, RECEIPT_TEXTS.replayed)}
+
+
+@virtual
+async def test_after_another_command_a_stream_must_rest_or_be_released_first(clock):
+    for ends in ("rest", "release"):
+        swarm = Flown(clock)
+        first = swarm.desk.steer(0, (1.0, 0.0, 0.0), 0.0)
+        await clock.sleep(0.1)
+        swarm.desk.stop((0,))
+        sent = len(swarm.obeyed)
+        for _ in range(20):
+            await clock.sleep(0.1)
+            assert swarm.desk.steer(0, (1.0, 0.0, 0.0), 0.0) is first
+        assert len(swarm.obeyed) == sent, "a stream does not take the drone back"
+        if ends == "rest":
+            await clock.sleep(STICK_TIMES.velocity_duration)
+        else:
+            assert swarm.desk.steer(0, STILL, 0.0) is first
+        assert swarm.desk.steer(0, (1.0, 0.0, 0.0), 0.0) is not first
+        await clock.sleep(0.1)
+        assert len(swarm.obeyed) > sent
