@@ -72,8 +72,8 @@ def calibrate(
     """Identify a drone from its flights.
 
     Finds thrust, imbalance of the motors, trim, lag of the rotors, drag, moment of speed, damping, noise and battery,
-    each with its error. What the flights do not show stays as it was, and is said. Prints the key `calibration` of a
-    [[drones]] of the swarm file.
+    each with its error. What the flights do not show stays as it was, and is said. Prints the key `calibration` of
+    a drone of the swarm file.
     """
     set_up_logging()
     from crazychoir.simulation.identification.calibration.estimate import (

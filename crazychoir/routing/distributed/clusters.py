@@ -233,7 +233,7 @@ def list_usual_passes(
 def list_anytime_passes(settings: AnytimeSettings) -> Iterator[SearchPass]:
     """Yield passes without end, which do not depend on the budget.
 
-    A larger budget therefore begins with all passes of a smaller one, and is never worse.
+    A larger budget of search steps therefore begins with all passes of a smaller one, and is never worse.
     """
     steps = settings.first_steps
     for number in count():

@@ -108,7 +108,7 @@ class AnytimeSettings:
     first_passes: int = 3
     """Passes before the relaxation of the problem and its proof."""
     first_steps: int = 40_000
-    """Search steps of a leader in the first pass; each further pass has twice as many."""
+    """Search steps of a leader in the first pass; each further pass has twice as many, up to `most_steps`."""
     most_steps: int = 80_000
     """Largest number of search steps of a leader in a pass."""
     temperature: float = 0.15

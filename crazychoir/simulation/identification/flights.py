@@ -4,7 +4,6 @@ A flight is a file .npz of NumPy with one row each 10 ms, see `FLIGHT_COLUMNS`. 
 x forward, y left, z up.
 """
 
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from crazychoir.errors import ConfigError
 from crazychoir.numerics.math3d import STANDARD_GRAVITY
+from crazychoir.simulation.identification.array_files import read_array_file
 from crazychoir.simulation.onboard.units import FULL_THRUST_COMMAND
 from crazychoir.types import Bools, Mat, Vec
 
@@ -189,15 +189,8 @@ def _read_columns(path: Path) -> dict[str, Mat]:
 
     Raises ConfigError if one is missing, has another shape, or is not finite.
     """
-    allowed = f"a file .npz with {', '.join(FLIGHT_COLUMNS)}"
-    arrays: dict[str, Mat] = {}
-    try:
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.lib.npyio.NpzFile):
-            with loaded:
-                arrays = dict(loaded)
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise ConfigError(str(path), f"no arrays ({error})", allowed) from error
+    allowed = f"an .mcap of --record, or a file .npz with {', '.join(FLIGHT_COLUMNS)}"
+    arrays = read_array_file(path, allowed)
     missing = [name for name in FLIGHT_COLUMNS if name not in arrays]
     if missing:
         raise ConfigError(str(path), f"no {', '.join(missing)}", allowed)

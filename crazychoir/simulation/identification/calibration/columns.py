@@ -2,7 +2,6 @@
 
 import csv
 import math
-import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -11,6 +10,7 @@ import numpy as np
 
 from crazychoir.errors import ConfigError
 from crazychoir.numerics.math3d import STANDARD_GRAVITY
+from crazychoir.simulation.identification.array_files import read_array_file
 from crazychoir.simulation.identification.flights import FLIGHT_TIME_STEP
 from crazychoir.types import Mat, Vec
 
@@ -91,7 +91,11 @@ def read_columns(path: Path) -> dict[str, Mat]:
     path: .npz with these arrays, or a table .csv with the columns of TABLE_NAMES
     Raises ConfigError if a required array is missing, not finite, or too short.
     """
-    raw = _read_arrays(path) if path.suffix == ".npz" else _read_table(path)
+    if path.suffix == ".npz":
+        allowed = f"a file .npz with t, {', '.join(REQUIRED_WIDTHS)}"
+        raw = read_array_file(path, allowed)
+    else:
+        raw = _read_table(path)
     return regularise(raw, str(path))
 
 
@@ -179,20 +183,6 @@ def make_continuous(q: Mat) -> Mat:
     return np.asarray(q * signs[:, None])
 
 
-def _read_arrays(path: Path) -> dict[str, Mat]:
-    try:
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.lib.npyio.NpzFile):
-            with loaded:
-                return dict(loaded)
-        found = "one array"
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        found = f"no arrays ({error})"
-    raise ConfigError(
-        str(path), found, f"a file .npz with t, {', '.join(REQUIRED_WIDTHS)}"
-    )
-
-
 def _read_table(path: Path) -> dict[str, Mat]:
     """Return the arrays of a table; its first line has the names of the columns."""
     try:
@@ -201,11 +191,13 @@ def _read_table(path: Path) -> dict[str, Mat]:
         names = [name.strip() for name in lines[0]]
         numbers = np.array([[float(cell) for cell in row] for row in lines[1:] if row])
     except (OSError, ValueError, IndexError) as error:
-        raise ConfigError(
-            str(path),
-            f"no table of numbers ({error})",
-            "a table .csv with a line of names, then numbers",
-        ) from error
+        found = f"no table of numbers ({error})"
+        if isinstance(error, OSError):
+            found = error.strerror or "a file that cannot be read"
+        elif isinstance(error, IndexError):
+            found = "an empty file"
+        allowed = "a table .csv with a line of names, then numbers"
+        raise ConfigError(str(path), found, allowed) from error
     if numbers.ndim != 2 or numbers.shape[1] != len(names):
         raise ConfigError(
             str(path), f"{len(names)} names", "one name for each column of numbers"

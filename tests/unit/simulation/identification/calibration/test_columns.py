@@ -5,6 +5,7 @@ import pytest
 
 from crazychoir.errors import ConfigError
 from crazychoir.simulation.identification.calibration.columns import read_columns
+from crazychoir.simulation.identification.flights import read_flight
 
 NAMES = tuple(
     name
@@ -57,3 +58,17 @@ def test_a_part_of_an_array_is_refused_with_what_is_missing(tmp_path):
     path = write(tmp_path / "flight.csv", [name for name in NAMES if name != "gyro_y"])
     with pytest.raises(ConfigError, match="gyro_x, gyro_z without gyro_y"):
         read_columns(path)
+
+
+@pytest.mark.parametrize("reader", [read_columns, read_flight])
+@pytest.mark.parametrize("suffix", [".npz", ".csv"])
+def test_a_file_that_cannot_be_read_is_refused_in_words_of_the_user(
+    tmp_path, reader, suffix
+):
+    path = tmp_path / f"flight{suffix}"
+    with pytest.raises(ConfigError, match=r"flight\.\w+: found No such file"):
+        reader(path)
+    path.write_text("")
+    with pytest.raises(ConfigError, match=r"found (no arrays|an empty file)") as caught:
+        reader(path)
+    assert "pickle" not in str(caught.value)
