@@ -92,6 +92,8 @@ class Mounting:
 
     def body(self, drone: Vec) -> Vec:
         """Return the body's pose (7,) if the drone has the pose drone (7,)."""
+        if self.is_none:
+            return drone
         o, turn = self._arrays
         q = tuple(drone[3:7])
         way = quaternion_product(

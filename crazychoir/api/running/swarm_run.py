@@ -193,7 +193,12 @@ def with_virtual_bodies(config: SwarmConfig) -> SwarmConfig:
         }
         for k, (drone, port) in enumerate(zip(config.drones, ports, strict=True))
     ]
-    cameras = {**msgspec.to_builtins(config.mocap), "source": "virtual", "port": poses}
+    cameras = {
+        **msgspec.to_builtins(config.mocap),
+        "source": "virtual",
+        "hostname": VIRTUAL_HOST,
+        "port": poses,
+    }
     control = msgspec.to_builtins(config.control)
     control["sender"] = config.control.sender or VIRTUAL_SENDER
     return config.replace(drones=drones, mocap=cameras, control=control)

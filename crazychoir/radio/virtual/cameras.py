@@ -12,6 +12,7 @@ import numpy as np
 from crazychoir.bus.json_view import to_plain_values
 from crazychoir.errors import CodecError, CrazyChoirError
 from crazychoir.mocap.frames import FRAME_PROTOCOL, PoseFrame
+from crazychoir.mocap.mounting import Mounting
 from crazychoir.numerics.math3d import quaternion_of_yaw, quaternion_product
 from crazychoir.radio.virtual.control import QUESTION_LIMITS
 from crazychoir.radio.virtual.faults import Faults
@@ -28,7 +29,11 @@ Answer = Callable[[Question], Any]
 
 
 def observe_bodies(
-    states: Mat, rows: dict[int, int], faults: dict[int, Faults], names: dict[int, str]
+    states: Mat,
+    rows: dict[int, int],
+    faults: dict[int, Faults],
+    names: dict[int, str],
+    mountings: dict[int, Mounting],
 ) -> dict[str, Any]:
     """Return the bodies as the cameras see them.
 
@@ -38,6 +43,7 @@ def observe_bodies(
     rows: row of each drone in `states`
     faults: faults of each drone
     names: name of each drone's body
+    mountings: mounting of each drone's body
     Returns {name: (7,) p in m and q, body to world}.
     """
     bodies: dict[str, Any] = {}
@@ -46,10 +52,11 @@ def observe_bodies(
         other = int(fault.swap) if fault.swap >= 0.0 else i
         if not fault.pose_lost and len(bodies) < FRAME_PROTOCOL.most_bodies:
             state = states[rows[other]]
+            body = mountings[other].body(np.array([*state[:3], *state[6:10]]))
             bodies[name] = np.array(
                 [
-                    *(state[:3] + np.array(fault.offset)),
-                    *_turn_about_z(state[6:10], fault.turned),
+                    *(body[:3] + np.array(fault.offset)),
+                    *_turn_about_z(body[3:7], fault.turned),
                 ]
             )
     return bodies

@@ -77,6 +77,7 @@ class VirtualServer(Actor):
         self.questions = ServerQuestions(world, self.ports, self.faults, self._control)
         self.cameras = CameraPort(clock, poses, self.questions.answer)
         self._names = {seat.id: seat.body for seat in self.seats if seat.body}
+        self._mountings = {seat.id: seat.mounting for seat in self.seats}
 
     def _drone(self, seat: DroneSeat) -> VirtualCrazyflie:
         """Switch on the drone of a seat where it stands; it does not know its position yet."""
@@ -144,7 +145,11 @@ class VirtualServer(Actor):
             self.cameras.show(
                 time,
                 observe_bodies(
-                    self.world.states, self.world.row, self.faults, self._names
+                    self.world.states,
+                    self.world.row,
+                    self.faults,
+                    self._names,
+                    self._mountings,
                 ),
             )
 

@@ -21,6 +21,7 @@ from crazychoir.firmware.release import (
     parse_release,
 )
 from crazychoir.mocap.frames import FRAME_PROTOCOL
+from crazychoir.mocap.mounting import Mounting
 from crazychoir.platforms import Platform, find_platform
 from crazychoir.radio.virtual.drone import (
     MODELLED_DRONE,
@@ -59,6 +60,8 @@ class DroneSeat:
     """Release of its firmware."""
     device: str = DroneIdentity.device
     """Kind of drone, as its firmware tells it."""
+    mounting: Mounting = Mounting()
+    """How its body is mounted on it."""
 
 
 @dataclass(frozen=True)
@@ -202,6 +205,7 @@ def _make_seats(
             _default_decks(drone) if decks is None else tuple(decks),
             release,
             device_name_of(find_platform(drone.platform)),
+            Mounting(drone.body_offset, drone.body_rotation),
         )
         for drone, at in places
     )

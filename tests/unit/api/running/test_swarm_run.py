@@ -20,6 +20,13 @@ def test_virtual_bodies_have_ports_of_their_own_and_share_dongles():
     assert check_before_flight(load_mission("operator"), config) == []
 
 
+def test_virtual_bodies_are_seen_by_the_cameras_of_this_machine():
+    cameras = {"source": "vicon", "hostname": "192.168.1.2", "rate": 50.0}
+    mocap = with_virtual_bodies(mission.swarm(2).replace(mocap=cameras)).mocap
+    assert (mocap.source, mocap.hostname) == ("virtual", "127.0.0.1")
+    assert mocap.rate == 50.0
+
+
 def test_unknown_bodies_are_refused_before_anything_starts():
     with pytest.raises(ConfigError, match='allowed: "sim" or "virtual"'):
         launch("operator", drones=2, bodies="real")
