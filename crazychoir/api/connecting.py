@@ -1,14 +1,17 @@
 """Connect to a running swarm, or start one, from a script or a notebook."""
 
+from collections.abc import Mapping
 from contextlib import AbstractAsyncContextManager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from crazychoir.api.flight_request import FlightRequest
 from crazychoir.api.running.async_swarm import AsyncSwarm, join_swarm
 from crazychoir.api.running.blocking import LoopThread
 from crazychoir.api.running.running_swarm import RunningSwarm
 from crazychoir.api.running.swarm_run import BODY_KINDS, SwarmRun
+from crazychoir.errors import ProcessFailed
 
 
 def connect(swarm: str | Path | None = None, *, console: bool = False) -> RunningSwarm:
@@ -67,8 +70,18 @@ def launch(
         raise
     launched = RunningSwarm(thread, run)
     try:
-        thread.call(thread.value.wait_until_ready())
+        thread.call(thread.value.wait_until_ready(run.has_ended))
     except BaseException:
         launched.close()
         raise
+    if run.has_ended():
+        launched.close()
+        _check_success(launched.result or {})
     return launched
+
+
+def _check_success(result: Mapping[str, Any]) -> None:
+    """Raise ProcessFailed for a run that has ended without success, before its drones could be told anything."""
+    if not result["success"]:
+        reasons = "; ".join(result["reasons"].values())
+        raise ProcessFailed("the run", result["reason"] or reasons)

@@ -102,3 +102,7 @@ class Mounting:
         return np.array(
             [*(drone[0:3] + np.array(way[0:3])), *quaternion_product(q, tuple(turn))]
         )
+
+
+CENTRED_BODY = Mounting()
+"""A body with the pose of its drone."""

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from crazychoir.launch.observer import Window
 from crazychoir.planning.piecewise import Piecewise
 from crazychoir.planning.trajectory_file import read_pieces
 from crazychoir.runtime.mailbox import Latest
-from crazychoir.types import Point, State
+from crazychoir.types import Point, State, Status
 
 ABSENT_TEXT = "its agent was not found"
 """Reason of a drone that is not there."""
@@ -40,11 +41,24 @@ class DroneOrders:
     def __init__(self, window: Window) -> None:
         self.window = window
         self._states: dict[int, Latest[State]] = {}
+        self.statuses: dict[int, Status] = {}
+        """The last status of each drone that has been heard."""
         self._open: set[asyncio.Task[Any]] = set()
         topic = DRONE_TOPICS.state
         for i in window.config.ids:
             states = self._states[i] = Latest(window.clock, "state", topic.max_age)
             window.read(topic, i, states.put, STATE_RATE)
+            window.read(DRONE_TOPICS.status, i, partial(self._keep_status, i))
+
+    def _keep_status(self, i: int, status: Status, age: float) -> None:
+        self.statuses[i] = status
+
+    def _receipt(self, i: int, verb: str, answer: str, reason: str) -> OrderReceipt:
+        """Return what a drone has answered, with the last trouble that it has reported."""
+        note = self.statuses[i].note if i in self.statuses else ""
+        if not note or note in reason:
+            return OrderReceipt(i, verb, answer, reason)
+        return OrderReceipt(i, verb, answer, f"{reason}. It has reported: {note}")
 
     async def give(self, verb: str, told: Told, seconds: float, wait: bool) -> None:
         """Send a flight command.
@@ -74,7 +88,7 @@ class DroneOrders:
     ) -> OrderReceipt | None:
         """Send a command to one drone; return its receipt, None if it obeys."""
         if not self.window.is_there(i):
-            return OrderReceipt(i, verb, "absent", ABSENT_TEXT)
+            return self._receipt(i, verb, "absent", ABSENT_TEXT)
         accepted = asyncio.Event()
         task = asyncio.ensure_future(
             self.window.order_one(i, verb, seconds, arguments, accepted.set)
@@ -89,7 +103,7 @@ class DroneOrders:
             done, (answer, reason) = await task
         finally:
             task.cancel()
-        return None if done else OrderReceipt(i, verb, answer, reason)
+        return None if done else self._receipt(i, verb, answer, reason)
 
     async def _wait_until_accepted(
         self, task: asyncio.Future[Any], accepted: asyncio.Event
@@ -125,7 +139,7 @@ class DroneOrders:
         missing = [i for i in ids if i not in found]
         if missing:
             why = f"no new state within {STATE_TIMEOUT:g} s"
-            raise OrderFailed(OrderReceipt(i, "state", "silent", why) for i in missing)
+            raise OrderFailed(self._receipt(i, "state", "silent", why) for i in missing)
         return found
 
     def _list_states(self, ids: Sequence[int]) -> dict[int, State]:

@@ -8,7 +8,6 @@ from typing import Any, overload
 from crazychoir.agent.dead_man import ConsoleReporter, is_console
 from crazychoir.agent.drone import UNFIT_TASK, WAITING_TASK
 from crazychoir.api.running.async_drones import AsyncDrone, AsyncDrones, DroneOrders
-from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.network import impairment_changes
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import LinkTable
@@ -16,7 +15,6 @@ from crazychoir.launch.network import make_observer_link, run_attached
 from crazychoir.launch.observer import Window
 from crazychoir.launch.running_swarm import first_process_timeout, running_swarm
 from crazychoir.runtime.clock import Clock, WallClock
-from crazychoir.types import Status
 
 LOOK_INTERVAL = 0.05
 """s between two looks at what the drones do."""
@@ -84,24 +82,22 @@ class AsyncSwarm(AsyncDrones):
         found = await self._orders.ask("impair", self.ids, **given, **changes)
         return dict(found)
 
-    async def wait_until_ready(self) -> None:
-        """Wait until no drone prepares or waits for the others, at most READY_TIMEOUT s."""
-        window = self.window
-        tasks = dict.fromkeys(self.ids, WAITING_TASK)
+    async def wait_until_ready(self, has_ended: Callable[[], bool]) -> None:
+        """Wait until no drone prepares or waits for the others, at most READY_TIMEOUT s.
 
-        def make_reader(i: int) -> Callable[[Status, float], None]:
-            def keep(status: Status, age: float) -> None:
-                tasks[i] = status.task
+        has_ended: whether the run has ended; then nothing is waited for
+        """
+        clock = self.window.clock
+        ends = clock.now() + READY_TIMEOUT
+        while not (has_ended() or self._all_ready) and clock.now() < ends:
+            await clock.sleep(LOOK_INTERVAL)
 
-            return keep
-
-        for i in self.ids:
-            window.read(DRONE_TOPICS.status, i, make_reader(i))
-        ends = window.clock.now() + READY_TIMEOUT
-        while window.clock.now() < ends and any(
-            task in (WAITING_TASK, UNFIT_TASK) for task in tasks.values()
-        ):
-            await window.clock.sleep(LOOK_INTERVAL)
+    @property
+    def _all_ready(self) -> bool:
+        statuses = self._orders.statuses
+        return statuses.keys() >= set(self.ids) and not any(
+            status.task in (WAITING_TASK, UNFIT_TASK) for status in statuses.values()
+        )
 
     async def begin_landing(self) -> None:
         """Tell every drone to land, as far as it is there; do not wait until it has landed."""

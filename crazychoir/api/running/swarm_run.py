@@ -125,11 +125,10 @@ class SwarmRun:
         for _ in range(round(START_TIMEOUT / LOOK_INTERVAL)):
             if found := list_runs_of_file(file):
                 return found[0].file
-            if self._process.poll() is not None:
+            if self.has_ended():
                 break
             time.sleep(LOOK_INTERVAL)
-        ended = self._process.poll() is not None
-        said = self._wait_for_end() if ended else ""
+        said = self._wait_for_end() if self.has_ended() else ""
         raise ProcessFailed("the run", self._explain_failure(said))
 
     def _explain_failure(self, said: str) -> str:
@@ -156,6 +155,10 @@ class SwarmRun:
         finally:
             self._kept.close()
         return result
+
+    def has_ended(self) -> bool:
+        """Return whether the run has ended, by itself or by a failure."""
+        return self._process.poll() is not None
 
     def _wait_for_end(self) -> str:
         """Wait for the end of the run, end it if it takes too long; return what it has printed."""

@@ -21,7 +21,7 @@ from crazychoir.firmware.release import (
     parse_release,
 )
 from crazychoir.mocap.frames import FRAME_PROTOCOL
-from crazychoir.mocap.mounting import Mounting
+from crazychoir.mocap.mounting import CENTRED_BODY, Mounting
 from crazychoir.platforms import Platform, find_platform
 from crazychoir.radio.virtual.drone import (
     MODELLED_DRONE,
@@ -60,7 +60,7 @@ class DroneSeat:
     """Release of its firmware."""
     device: str = DroneIdentity.device
     """Kind of drone, as its firmware tells it."""
-    mounting: Mounting = Mounting()
+    mounting: Mounting = CENTRED_BODY
     """How its body is mounted on it."""
 
 

@@ -8,18 +8,27 @@ from virtual_time import virtual
 from crazychoir.api.running.async_drones import AsyncDrone, DroneOrders
 from crazychoir.api.running.receipts import OrderFailed
 from crazychoir.bus.topics import DRONE_TOPICS
-from crazychoir.types import State
+from crazychoir.types import State, Status
 
 
 class HearingWindow:
-    """A window on drone 0; `hear` gives it a state with an age."""
+    """A window on drone 0, without an agent; `hear` gives it a state with an age, `report` a status."""
 
     def __init__(self, clock):
         self.clock = clock
         self.config = SimpleNamespace(ids=(0,))
 
-    def read(self, topic, i, function, rate):
-        self.hear = function
+    def read(self, topic, i, function, rate=None):
+        if topic is DRONE_TOPICS.state:
+            self.hear = function
+        else:
+            self.report = function
+
+    def require_operator(self):
+        pass
+
+    def is_there(self, i):
+        return False
 
 
 @virtual
@@ -36,3 +45,12 @@ async def test_state_has_its_present_age_and_a_stale_one_is_not_returned(clock):
         await drone.state()
     window.hear(State.at([1.5, 2.0, 3.0]), 0.0)
     assert (await drone.state()).p[0] == 1.5
+
+
+@virtual
+async def test_a_command_that_fails_says_what_the_drone_has_reported(clock):
+    window = HearingWindow(clock)
+    orders = DroneOrders(window)
+    window.report(Status("ended", note="the cameras do not see it"), 0.0)
+    with pytest.raises(OrderFailed, match="reported: the cameras do not see it"):
+        await orders.give("take-off", {0: {}}, 5.0, True)

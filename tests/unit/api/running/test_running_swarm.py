@@ -7,6 +7,7 @@ import pytest
 from crazychoir.api import connecting
 from crazychoir.api.running.blocking import LoopThread
 from crazychoir.api.running.running_swarm import RunningSwarm
+from crazychoir.errors import ProcessFailed
 
 
 class FailingSwarm:
@@ -15,8 +16,9 @@ class FailingSwarm:
     ids = (0, 1)
     file = "swarm.json"
 
-    def __init__(self, lands):
+    def __init__(self, lands, ends_early=False):
         self.lands = lands
+        self.ends_early = ends_early
         self.is_left = False
         self.is_ended = False
 
@@ -25,16 +27,21 @@ class FailingSwarm:
         yield self
         self.is_left = True
 
-    async def wait_until_ready(self):
-        raise TimeoutError("not ready")
+    async def wait_until_ready(self, has_ended):
+        if not has_ended():
+            raise TimeoutError("not ready")
 
     async def begin_landing(self):
         if not self.lands:
             raise ConnectionError("no network")
 
+    def has_ended(self):
+        return self.ends_early
+
     def end(self):
         self.is_ended = True
-        return {"success": False}
+        reasons = {"1": "drone 1: the cameras do not see it"}
+        return {"success": False, "reason": None, "reasons": reasons}
 
 
 def test_run_ends_although_its_landing_fails():
@@ -44,7 +51,7 @@ def test_run_ends_although_its_landing_fails():
         swarm.close()
     assert failing.is_left
     assert failing.is_ended
-    assert swarm.result == {"success": False}
+    assert swarm.result["success"] is False
 
 
 def test_launched_run_that_does_not_get_ready_is_ended(monkeypatch):
@@ -55,3 +62,13 @@ def test_launched_run_that_does_not_get_ready_is_ended(monkeypatch):
         connecting.launch("operator", drones=2)
     assert failing.is_left
     assert failing.is_ended
+
+
+def test_launched_run_that_ends_before_it_is_ready_says_why(monkeypatch):
+    refused = FailingSwarm(lands=True, ends_early=True)
+    monkeypatch.setattr(connecting, "SwarmRun", lambda *told: refused)
+    monkeypatch.setattr(connecting, "join_swarm", refused.join)
+    with pytest.raises(ProcessFailed, match="drone 1: the cameras do not see it"):
+        connecting.launch("operator", drones=2)
+    assert refused.is_left
+    assert refused.is_ended
