@@ -72,6 +72,9 @@ class CFDistributedFeedback(CFGuidance):
     that its neighbours receive, because a large graph would amplify any difference.
     """
 
+    _began_ns: int | None = None
+    """ns of the clock at which the law began."""
+
     @abstractmethod
     def step(self, me: State, heard: Heard) -> Reference | None:
         """Return the reference to fly until the next step. None lets the drone stop and hover.
@@ -221,6 +224,7 @@ class CFDistributedFeedback(CFGuidance):
             now_ns + round(seconds * NS_PER_SECOND), self._running.end, drone=self.id
         )
         self._stage.enter(self._running)
+        self._began_ns = now_ns
         self._is_running = True
         try:
             await ended
@@ -228,6 +232,17 @@ class CFDistributedFeedback(CFGuidance):
             self._is_running = False
             self._stage.leave(self._running)
             end.cancel()
+
+    @property
+    def elapsed(self) -> float:
+        """s since the law of this drone began; 0 before.
+
+        The laws of a team do not begin in one instant: each begins when its drone has heard that
+        all hover, and a lost message is sent again after some tenths of a second.
+        """
+        if self._began_ns is None:
+            return 0.0
+        return (self.member.clock.now_ns() - self._began_ns) / NS_PER_SECOND
 
     def fail(self, error: BaseException) -> bool:
         """End the law with an error; return False if it does not run any more."""

@@ -112,6 +112,29 @@ def test_it_steps_at_its_rate_on_average_whatever_that_of_the_poses(rate):
     assert min(gaps) >= 1.0 / rate - TICK - 1e-9
 
 
+class Timed(Told):
+    """Keeps how long it has run in each step."""
+
+    def step(self, me, heard):
+        self.elapsed_times.append(self.elapsed)
+        return super().step(me, heard)
+
+
+@virtual
+async def test_it_knows_how_long_it_runs(clock):
+    law = Timed(rate=50.0)
+    law.elapsed_times = []
+    before = law.elapsed
+    _, ending = await flown(clock, law)
+    assert await ending is None
+    assert before == 0.0
+    assert law.elapsed_times == pytest.approx(
+        np.array(law.times) - law.times[0] + law.elapsed_times[0]
+    )
+    assert 0.0 <= law.elapsed_times[0] <= 0.02
+    assert law.elapsed_times[-1] == pytest.approx(3.0, abs=0.03)
+
+
 @virtual
 async def test_late_states_do_not_make_it_catch_up(clock):
     law = Told(rate=50.0)
