@@ -37,17 +37,18 @@ def reoptimize_cluster(
     options: parameters of the search.
     """
     chosen = np.array(cluster.tasks, dtype=np.int64)
-    fleet = [restrict_problem(robots[i], chosen).vehicle for i in cluster.robots]
+    first = robots[cluster.robots[0]]
+    few = first.tasks.only(chosen)
+    fleet = [restrict_problem(robots[i], chosen, few).vehicle for i in cluster.robots]
     inner = _map_into_part(chosen, len(penalty))
     present = [[inner[s] for s in routes.get(i, ())] for i in cluster.robots]
-    objective = robots[cluster.robots[0]].objective
     found = search_plan(
         fleet,
         present,
         penalty[chosen],
         steps,
         seed,
-        objective=objective,
+        objective=first.objective,
         options=options,
     )
     return {

@@ -12,6 +12,7 @@ import numpy as np
 from crazychoir.routing.distributed.member import AnytimeSettings, SearchSettings
 from crazychoir.routing.distributed.team_order import TeamOrder
 from crazychoir.routing.instance.instance import LocalProblem
+from crazychoir.routing.instance.legs import measure_distances
 from crazychoir.routing.search.search import SEARCH_DEFAULTS
 from crazychoir.types import Ints, Mat, Vec
 
@@ -50,12 +51,9 @@ class Neighbors:
         self.robots = order.robots
         tasks = robots[self.robots[0]].tasks
         self.m = len(tasks)
-        stops = np.vstack([tasks.pickup, tasks.delivery])
         starts = np.array([_choose_start(robots[i]) for i in self.robots])
-        self._between, self._out = (
-            _compute_distances(stops, stops),
-            _compute_distances(starts, stops),
-        )
+        self._between = tasks.between
+        self._out = measure_distances(starts, tasks.stops)  # (N, 2M)
         can = np.array(
             [
                 robots[i].capable & (tasks.load <= robots[i].capacity)
@@ -183,12 +181,6 @@ def _gather_groups(
 
 def _choose_start(local: LocalProblem) -> Vec:
     return local.home if local.start is None else local.start
-
-
-def _compute_distances(a: Mat, b: Mat) -> Mat:
-    """Return the (A, B) distances in m between points."""
-    squares = ((a[:, None, axis] - b[None, :, axis]) ** 2 for axis in range(a.shape[1]))
-    return np.asarray(np.sqrt(sum(squares, np.zeros((len(a), len(b))))))
 
 
 def _find_least_distances(to_stops: Mat, to_start: Vec) -> Vec:

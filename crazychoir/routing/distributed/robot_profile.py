@@ -59,26 +59,18 @@ def introduce_robots(member: RoutingMember) -> Exchange[dict[int, LocalProblem]]
     return known
 
 
-def restrict_problem(local: LocalProblem, chosen: Ints) -> LocalProblem:
-    """Return the problem of the same robot with the tasks `chosen` alone, (K,) in any order."""
-    tasks = local.tasks
+def restrict_problem(
+    local: LocalProblem, chosen: Ints, few: Tasks | None = None
+) -> LocalProblem:
+    """Return the problem of the same robot with the tasks `chosen` alone, (K,) in any order.
+
+    few: these tasks, if they are already at hand: robots with the same object share its distances.
+    """
     m = len(local.tasks)
-    stops = np.concatenate([chosen, m + chosen])
     nodes = np.concatenate([chosen, m + chosen, [2 * m]])
-    few = Tasks(
-        pickup=tasks.pickup[chosen],
-        delivery=tasks.delivery[chosen],
-        load=tasks.load[chosen],
-        service=tasks.service[stops],
-        earliest=tasks.earliest[stops],
-        latest=tasks.latest[stops],
-        penalty=tasks.penalty[chosen],
-        priority=tasks.priority[chosen],
-        span=tasks.span,
-    )
     return replace(
         local,
-        tasks=few,
+        tasks=local.tasks.only(chosen) if few is None else few,
         capable=local.capable[chosen],
         aboard=None if local.aboard is None else local.aboard[chosen],
         distance=None

@@ -6,16 +6,22 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from weakref import WeakValueDictionary
 
 import numpy as np
 import numpy.typing as npt
 
 from crazychoir.errors import ConfigError, InstanceError
 from crazychoir.routing.instance.fields import InstanceFields, read_instance_file
+from crazychoir.routing.instance.legs import (
+    Legs,
+    measure_distances,
+    measure_durations,
+)
 from crazychoir.routing.instance.plan import Route, RoutePlan
 from crazychoir.routing.instance.servable import require_servable_tasks
 from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES, Vehicle
-from crazychoir.types import Mat, Vec
+from crazychoir.types import Ints, Mat, Vec
 
 MOST_WEIGHT = 1e6
 """Largest allowed weight of a refused task, in multiples of a plan's cost.
@@ -102,11 +108,47 @@ class Tasks:
 
     def to_json(self) -> dict[str, Any]:
         """Return a JSON object of all fields, on which all robots must agree."""
-        return {
-            name: _convert_to_json(value)
-            for name, value in vars(self).items()
-            if name != "refusal"
-        }
+        return {f.name: _convert_to_json(getattr(self, f.name)) for f in fields(self)}
+
+    def only(self, chosen: Ints) -> "Tasks":
+        """Return the tasks `chosen` alone, (K,) in any order."""
+        stops = np.concatenate([chosen, len(self) + chosen])
+        return Tasks(
+            pickup=self.pickup[chosen],
+            delivery=self.delivery[chosen],
+            load=self.load[chosen],
+            service=self.service[stops],
+            earliest=self.earliest[stops],
+            latest=self.latest[stops],
+            penalty=self.penalty[chosen],
+            priority=self.priority[chosen],
+            span=self.span,
+        )
+
+    @cached_property
+    def stops(self) -> Mat:
+        """(2M, d) m: the pickups, then the deliveries."""
+        return np.vstack([self.pickup, self.delivery])
+
+    @cached_property
+    def between(self) -> Mat:
+        """(2M, 2M) m: Euclidean distances between stops."""
+        return measure_distances(self.stops, self.stops)
+
+    def durations(self, speed: float) -> Mat:
+        """Return `measure_durations` between stops, (2M, 2M) s, by the Euclidean distances.
+
+        All robots with this speed, m/s, get the same array while one of them holds it.
+        """
+        known = self._durations.get(speed)
+        if known is None:
+            known = self.service[:, None] + self.between / speed
+            self._durations[speed] = known
+        return known
+
+    @cached_property
+    def _durations(self) -> WeakValueDictionary[float, Mat]:
+        return WeakValueDictionary()
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,15 +207,12 @@ class LocalProblem:
         distances to them.
         """
         m = len(self.tasks)
-        distance = self._between()
-        service = np.concatenate([self.tasks.service, [0.0, 0.0]])
-        if self.open_tour:
-            distance[:, 2 * m + 1] = 0.0
+        ways = self._measure_ways()
         aboard = np.zeros(m, dtype=bool) if self.aboard is None else self.aboard
-        way_home = float(distance[2 * m, 2 * m + 1])
+        way_home = float(ways.ends[0, 1])
         return Vehicle(
-            distance=distance,
-            duration=service[:, None] + distance / self.speed,
+            ways=ways,
+            times=self._measure_times(ways),
             earliest=np.concatenate(
                 [self.tasks.earliest, [max(self.start_time, self.window[0]), 0.0]]
             ),
@@ -195,10 +234,20 @@ class LocalProblem:
         """Indices, increasing, of the tasks that at least one route of this robot could hold."""
         return self.vehicle.servable
 
-    def _between(self) -> Mat:
-        """Return the (2M + 2, 2M + 2) distances in m between pickups, deliveries, start, end."""
-        m = len(self.tasks)
-        if self.distance is not None:
+    def _measure_ways(self) -> Legs:
+        """Return the distances in m of all legs; those to the end are 0 in an open tour."""
+        if self.distance is None:
+            start = self.home if self.start is None else self.start
+            end = self.home if self.end is None else self.end
+            points = np.vstack([start, end])
+            stops = self.tasks.stops
+            ways = Legs(
+                self.tasks.between,
+                measure_distances(points, stops),
+                measure_distances(stops, points),
+                measure_distances(points, points),
+            )
+        else:
             if self.start is not None or self.end is not None:
                 found = "a start or an end beside a matrix of distances"
                 do = "Give points and no matrix, or none."
@@ -208,14 +257,23 @@ class LocalProblem:
                     "none: the matrix has no row for it",
                     do,
                 )
-            nodes = [*range(2 * m + 1), 2 * m]
-            return self.distance[np.ix_(nodes, nodes)]
-        start = self.home if self.start is None else self.start
-        end = self.home if self.end is None else self.end
-        points = np.vstack([self.tasks.pickup, self.tasks.delivery, start, end])
-        return np.asarray(
-            np.sqrt(((points[:, None] - points[None, :]) ** 2).sum(axis=2))
+            home = 2 * len(self.tasks)
+            nodes = [*range(home + 1), home]
+            ways = Legs.of(self.distance[np.ix_(nodes, nodes)])
+        if self.open_tour:
+            ways.from_stops[:, 1] = 0.0
+            ways.ends[:, 1] = 0.0
+        return ways
+
+    def _measure_times(self, ways: Legs) -> Legs:
+        """Return the durations in s of all legs, from their distances in m."""
+        service = self.tasks.service
+        between = (
+            self.tasks.durations(self.speed)
+            if self.distance is None
+            else service[:, None] + ways.between / self.speed
         )
+        return measure_durations(ways, between, service, self.speed)
 
 
 def group_equal_robots(robots: Mapping[int, LocalProblem]) -> list[tuple[int, ...]]:
@@ -482,12 +540,10 @@ class Instance:
         vehicles = [self.local(same[0]).vehicle for same in self.kinds()]
         if self.objective[0] != OBJECTIVE_NAMES.makespan:
             return (
-                legs * max(float(v.distance.max()) for v in vehicles)
+                legs * max(v.ways.most() for v in vehicles)
                 + self.robots * self.fixed_cost
             )
-        return legs * max(
-            float(v.duration.max()) + float(v.earliest.max()) for v in vehicles
-        )
+        return legs * max(v.times.most() + float(v.earliest.max()) for v in vehicles)
 
     def _require_countable(self) -> None:
         """Check the fields that contradict the objective if vehicles are counted first.

@@ -65,8 +65,7 @@ def split_into_trips(instance: Instance, route: Route) -> list[Trip]:
     found = []
     for number, (start, end) in enumerate(pairwise(cuts), 1):
         length = math.fsum(
-            float(vehicle.distance[v, w])
-            for v, w in pairwise(whole[start + 1 : end + 2])
+            vehicle.ways.at(v, w) for v, w in pairwise(whole[start + 1 : end + 2])
         )
         stops = route.stops[start + 1 : end]
         found.append(

@@ -9,6 +9,7 @@ from math import inf
 import numpy as np
 import numpy.typing as npt
 
+from crazychoir.routing.instance.legs import Legs
 from crazychoir.types import Mat, Vec
 
 
@@ -33,18 +34,18 @@ ROUNDING_SLACK = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Vehicle:
-    """A robot and M tasks in the form that the kernels use.
+    """A robot and M tasks in the form that searches and kernels use.
 
     Nodes: 0..M-1 pickups, M..2M-1 deliveries, 2M the start, 2M + 1 the end.
     A route is the list of the nodes between start and end. The node 2M + 1 inside a route is a stop
-    at the end point, with nothing on board, where a new trip begins. The matrices need not be
-    symmetric and need not satisfy the triangle inequality.
+    at the end point, with nothing on board, where a new trip begins. Distances and durations need
+    not be symmetric and need not satisfy the triangle inequality.
     """
 
-    distance: Mat
-    """(2M + 2, 2M + 2) m: cost of each leg; column 2M + 1 is 0 in an open tour."""
-    duration: Mat
-    """(2M + 2, 2M + 2) s: from the begin of service at v to the arrival at w.
+    ways: Legs
+    """m: cost of each leg; legs to the end are 0 in an open tour."""
+    times: Legs
+    """s: from the begin of service at v to the arrival at w.
 
     It is the service time at v plus the flight time.
     """
@@ -83,12 +84,22 @@ class Vehicle:
     robot: int = 0
     """Id of the robot, for messages."""
     metric: bool = False
-    """Whether both matrices satisfy the triangle inequality, which makes bounds fast to compute."""
+    """Whether distances and durations satisfy the triangle inequality, which makes bounds fast to compute."""
 
     @property
     def tasks(self) -> int:
         """M, the number of tasks."""
         return len(self.load)
+
+    @property
+    def distance(self) -> Mat:
+        """(2M + 2, 2M + 2) m: `ways` as one matrix."""
+        return self.ways.whole
+
+    @property
+    def duration(self) -> Mat:
+        """(2M + 2, 2M + 2) s: `times` as one matrix."""
+        return self.times.whole
 
     @cached_property
     def timed(self) -> bool:
@@ -118,26 +129,34 @@ class Vehicle:
             )
         )
 
-    @cached_property
+    @property
     def shortest(self) -> Mat:
-        """(2M + 2, 2M + 2) m: the shortest ways over any nodes of one trip."""
-        return (
-            self.distance
-            if self.metric
-            else compute_shortest_ways(self.distance, range(2 * self.tasks))
-        )
+        """(2M + 2, 2M + 2) m: `shortest_ways` as one matrix."""
+        return self.shortest_ways.whole
+
+    @property
+    def fastest(self) -> Mat:
+        """(2M + 2, 2M + 2) s: `fastest_ways` as one matrix."""
+        return self.fastest_ways.whole
 
     @cached_property
-    def fastest(self) -> Mat:
-        """(2M + 2, 2M + 2) s: the fastest ways over any nodes, without waiting.
+    def shortest_ways(self) -> Legs:
+        """The shortest ways over any nodes of one trip, m."""
+        if self.metric:
+            return self.ways
+        return Legs.of(compute_shortest_ways(self.distance, range(2 * self.tasks)))
+
+    @cached_property
+    def fastest_ways(self) -> Legs:
+        """The fastest ways over any nodes, without waiting, s.
 
         The ways may pass the end point if a further trip may follow.
         """
+        if self.metric:
+            return self.times
         m = self.tasks
         over = range(2 * m) if self.trips == 1 else [*range(2 * m), 2 * m + 1]
-        return (
-            self.duration if self.metric else compute_shortest_ways(self.duration, over)
-        )
+        return Legs.of(compute_shortest_ways(self.duration, over))
 
     @property
     def farthest(self) -> float:
@@ -151,40 +170,40 @@ class Vehicle:
         It takes the shortest ways from the start to the pickup, the delivery and the end.
         """
         m = self.tasks
-        way = self.shortest
+        way = self.shortest_ways
         j = np.arange(m)
-        out = (
-            way[2 * m, :m]
-            if self.trips == 1
-            else np.minimum(way[2 * m, :m], way[2 * m + 1, :m])
+        out = way.to_stops[0 if self.trips == 1 else slice(None), :m].reshape(-1, m)
+        return np.asarray(
+            out.min(axis=0) + way.between[j, m + j] + way.from_stops[m + j, 1]
         )
-        return np.asarray(out + way[j, m + j] + way[m + j, 2 * m + 1])
 
     @cached_property
     def soonest(self) -> Mat:
         """(2, M) s: lower bounds on the begin of service at each pickup and each delivery."""
         m = self.tasks
-        way = self.fastest
+        way = self.fastest_ways
         j = np.arange(m)
-        pickup = np.maximum(self.earliest[:m], self.earliest[2 * m] + way[2 * m, :m])
+        pickup = np.maximum(
+            self.earliest[:m], self.earliest[2 * m] + way.to_stops[0, :m]
+        )
         return np.vstack(
-            [pickup, np.maximum(self.earliest[m : 2 * m], pickup + way[j, m + j])]
+            [
+                pickup,
+                np.maximum(self.earliest[m : 2 * m], pickup + way.between[j, m + j]),
+            ]
         )
 
     @cached_property
     def soonest_end(self) -> Vec:
         """(M,) s: a lower bound on the end of any route with task j."""
         m = self.tasks
-        return np.asarray(self.soonest[1] + self.fastest[m : 2 * m, 2 * m + 1])
+        return np.asarray(self.soonest[1] + self.fastest_ways.from_stops[m : 2 * m, 1])
 
     def length(self, route: Sequence[int]) -> float:
         """Return the length of a route in m, added from its start to its end."""
         m = self.tasks
         return sum(
-            (
-                float(self.distance[v, w])
-                for v, w in pairwise([2 * m, *route, 2 * m + 1])
-            ),
+            (self.ways.at(v, w) for v, w in pairwise([2 * m, *route, 2 * m + 1])),
             0.0,
         )
 
@@ -200,19 +219,17 @@ class Vehicle:
         m = self.tasks
         times = [float(self.earliest[2 * m])]
         for v, w in pairwise([2 * m, *route, 2 * m + 1]):
-            times.append(
-                max(times[-1] + float(self.duration[v, w]), float(self.earliest[w]))
-            )
+            times.append(max(times[-1] + self.times.at(v, w), float(self.earliest[w])))
         return times[1:]
 
     def only(self, chosen: npt.NDArray[np.int64]) -> "Vehicle":
         """Return the same robot with the tasks `chosen` (K,) alone."""
         m = self.tasks
-        nodes = np.concatenate([chosen, m + chosen, [2 * m, 2 * m + 1]])
-        square = np.ix_(nodes, nodes)
+        stops = np.concatenate([chosen, m + chosen])
+        nodes = np.concatenate([stops, [2 * m, 2 * m + 1]])
         return Vehicle(
-            distance=np.ascontiguousarray(self.distance[square]),
-            duration=np.ascontiguousarray(self.duration[square]),
+            ways=self.ways.only(stops),
+            times=self.times.only(stops),
             earliest=self.earliest[nodes],
             latest=self.latest[nodes],
             load=self.load[chosen],

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from crazychoir.numerics.kernels import kernel
+from crazychoir.routing.instance.legs import Legs
 from crazychoir.routing.instance.vehicle import ROUNDING_SLACK, Vehicle
 from crazychoir.routing.pricing.label_setting import list_bits
 from crazychoir.routing.pricing.labels import HASH_MULTIPLIERS, grow_labels
@@ -184,8 +185,8 @@ def _reverse_vehicle(v: Vehicle) -> Vehicle:
     nodes = [*range(m, 2 * m), *range(m), 2 * m + 1, 2 * m]
     square = np.ix_(nodes, nodes)
     return Vehicle(
-        distance=np.ascontiguousarray(v.distance.T[square]),
-        duration=np.ascontiguousarray(v.duration.T[square]),
+        ways=Legs.of(v.distance.T[square]),
+        times=Legs.of(v.duration.T[square]),
         earliest=v.earliest[nodes],
         latest=v.latest[nodes],
         load=v.load,

@@ -65,7 +65,7 @@ def build_fleet(
         carrier=carrier,
         penalty=np.where(carrier >= 0, np.inf, penalty),
         twin=_find_twins(vehicles, shared),
-        near=_sort_near_stops(first.distance[: 2 * m, : 2 * m]),
+        near=_sort_near_stops(first.ways.between),
         traits=_compute_traits(vehicles),
         timed=timed,
         on_total=on_total,
@@ -76,15 +76,14 @@ def build_fleet(
 
 def _is_same_between_stops(v: Vehicle, w: Vehicle, timed: bool) -> bool:
     s = 2 * v.tasks
-    names = ["distance", "duration", "earliest", "latest"] if timed else ["distance"]
-    for name in names:
-        a = getattr(v, name)
-        b = getattr(w, name)
-        if a is not b and not np.array_equal(
-            a[:s, :s] if a.ndim == 2 else a[:s], b[:s, :s] if b.ndim == 2 else b[:s]
-        ):
-            return False
-    return True
+    pairs = [(v.ways.between, w.ways.between)]
+    if timed:
+        pairs += [
+            (v.times.between, w.times.between),
+            (v.earliest[:s], w.earliest[:s]),
+            (v.latest[:s], w.latest[:s]),
+        ]
+    return all(a is b or np.array_equal(a, b) for a, b in pairs)
 
 
 def _stack_matrices(
@@ -98,13 +97,15 @@ def _stack_matrices(
     duration = np.zeros((u, w, w))
     earliest = np.zeros((u, w))
     latest = np.zeros((u, w))
+    for row, v in enumerate(vehicles[:u]):
+        distance[row, :s, :s] = v.ways.between
+        duration[row, :s, :s] = v.times.between
     for v, row, *ends in zip(vehicles, kind, start, end, strict=True):
-        for whole, own in ((distance, v.distance), (duration, v.duration)):
-            whole[row, :s, :s] = own[:s, :s]
-            whole[row, ends, :s] = own[s:, :s]
-            whole[row, :s, ends] = own[:s, s:].T
-            whole[row, ends[0], ends] = own[s, s:]
-            whole[row, ends[1], ends] = own[s + 1, s:]
+        for whole, own in ((distance, v.ways), (duration, v.times)):
+            whole[row, ends, :s] = own.to_stops
+            whole[row, :s, ends] = own.from_stops.T
+            whole[row, ends[0], ends] = own.ends[0]
+            whole[row, ends[1], ends] = own.ends[1]
         earliest[row, :s] = v.earliest[:s]
         latest[row, :s] = v.latest[:s] + ROUNDING_SLACK
         earliest[row, ends] = v.earliest[s:]
@@ -117,17 +118,8 @@ def _find_twins(vehicles: Sequence[Vehicle], shared: bool) -> Ints:
     seen: dict[object, int] = {}
     twin = np.arange(len(vehicles), dtype=np.int64)
     for i, v in enumerate(vehicles):
-        s = 2 * v.tasks
-        parts = [
-            v.capable,
-            v.earliest,
-            v.latest,
-            v.distance[s:],
-            v.distance[:, s:],
-            v.duration[s:],
-            v.duration[:, s:],
-        ]
-        parts += [] if shared else [v.distance, v.duration]
+        parts = [v.capable, v.earliest, v.latest, *v.ways.outer, *v.times.outer]
+        parts += [] if shared else [v.ways.between, v.times.between]
         numbers = (v.capacity, v.limit, v.limit_again, v.trips, v.fixed)
         if not v.aboard.any():
             twin[i] = seen.setdefault((numbers, *(part.tobytes() for part in parts)), i)
@@ -150,7 +142,7 @@ def _compute_traits(vehicles: Sequence[Vehicle]) -> Mat:
     p = np.arange(m)
     d = np.arange(m, 2 * m)
     alone = [
-        v.distance[2 * m, p] + v.distance[p, d] + v.distance[d, 2 * m + 1]
+        v.ways.to_stops[0, p] + v.ways.between[p, d] + v.ways.from_stops[d, 1]
         for v in vehicles
     ]
     width = np.minimum(

@@ -79,11 +79,11 @@ def test_json_round_trip_keeps_what_is_optional(change):
     again = Instance.parse(json.loads(json.dumps(instance.to_json())))
     assert again.to_json() == instance.to_json()
     for i in range(2):
-        one, two = instance.local(i).vehicle, again.local(i).vehicle
-        assert all(
-            np.array_equal(value, getattr(two, name))
-            for name, value in vars(one).items()
+        one, two = (
+            {**vars(vehicle), "ways": vehicle.distance, "times": vehicle.duration}
+            for vehicle in (instance.local(i).vehicle, again.local(i).vehicle)
         )
+        assert all(np.array_equal(value, two[name]) for name, value in one.items())
 
 
 def test_a_vehicle_has_the_fields_of_its_robot():

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from crazychoir.errors import SolverError
 from crazychoir.routing.instance.instance import COMMON_OBJECTIVES
+from crazychoir.routing.instance.legs import Legs
 from crazychoir.routing.instance.vehicle import Vehicle
 from crazychoir.routing.pricing.route_table import RouteTable, find_shortest_route
 
@@ -104,8 +105,8 @@ def vehicle_of(seed, m, kind):
     aboard = draw.random(m) < 0.4 if "aboard" in kind else np.zeros(m, dtype=bool)
     load = draw.integers(1, 4, size=m).astype(float)
     return Vehicle(
-        distance,
-        duration,
+        Legs.of(distance),
+        Legs.of(duration),
         earliest,
         latest,
         load,
@@ -195,8 +196,8 @@ def test_a_robot_away_from_home_may_recharge_first():
     line = np.array([0.0, 1.0, 9.0, 10.0])  # pickup, delivery, start, end
     distance = np.abs(line[:, None] - line[None, :])
     v = Vehicle(
-        distance,
-        distance,
+        Legs.of(distance),
+        Legs.of(distance),
         np.zeros(4),
         np.full(4, np.inf),
         np.ones(1),

@@ -4,6 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from crazychoir.routing.instance.generate import random_instance
+from crazychoir.routing.instance.legs import Legs
 from crazychoir.routing.instance.vehicle import Vehicle
 from crazychoir.routing.pricing.reduced_cost import (
     bound_reduced_cost,
@@ -69,8 +70,8 @@ def test_a_route_of_the_shortest_ways_alone_is_not_cut(limit, price):
     x = np.array([1.0, 3, 5, 7, 9, 11, 2, 4, 6, 8, 10, 12, 0, 13])
     distance = np.abs(x[:, None] - x[None, :])
     v = Vehicle(
-        distance,
-        distance,
+        Legs.of(distance),
+        Legs.of(distance),
         np.zeros(14),
         np.full(14, np.inf),
         np.ones(6),

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import COMMON_OBJECTIVES, Instance
+from crazychoir.routing.instance.legs import Legs
 from crazychoir.routing.instance.vehicle import Vehicle
 from crazychoir.routing.pricing.route_table import RouteTable
 from crazychoir.routing.search.search import PlanSearch, SearchOptions, search_plan
@@ -88,8 +89,8 @@ def team_of(seed, robots, m, kind):
             )
         team.append(
             Vehicle(
-                distance,
-                duration,
+                Legs.of(distance),
+                Legs.of(duration),
                 earliest,
                 latest,
                 load,
