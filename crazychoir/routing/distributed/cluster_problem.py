@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from crazychoir.routing.distributed.clusters import Cluster, Stops, list_served_tasks
-from crazychoir.routing.distributed.robot_profile import restrict_problem
-from crazychoir.routing.instance.instance import LocalProblem
+from crazychoir.routing.instance.instance import LocalProblem, Tasks
 from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
 from crazychoir.routing.search.search import (
     SEARCH_DEFAULTS,
@@ -55,6 +55,26 @@ def reoptimize_cluster(
         i: rename_nodes(stops, chosen, len(penalty))
         for i, stops in zip(cluster.robots, found.routes, strict=True)
     }
+
+
+def restrict_problem(
+    local: LocalProblem, chosen: Ints, few: Tasks | None = None
+) -> LocalProblem:
+    """Return the problem of the same robot with the tasks `chosen` alone, (K,) in any order.
+
+    few: these tasks, if they are already at hand: robots with the same object share its distances.
+    """
+    m = len(local.tasks)
+    nodes = np.concatenate([chosen, m + chosen, [2 * m]])
+    return replace(
+        local,
+        tasks=local.tasks.only(chosen) if few is None else few,
+        capable=local.capable[chosen],
+        aboard=None if local.aboard is None else local.aboard[chosen],
+        distance=None
+        if local.distance is None
+        else local.distance[np.ix_(nodes, nodes)],
+    )
 
 
 def bound_saving(robots: Mapping[int, LocalProblem], reach: float) -> float:

@@ -14,7 +14,7 @@ from crazychoir.routing.distributed.team_order import TeamOrder
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.legs import measure_distances
 from crazychoir.routing.search.search import SEARCH_DEFAULTS
-from crazychoir.types import Ints, Mat, Vec
+from crazychoir.types import Mat, Vec
 
 Stops = Mapping[int, Sequence[int]]
 """Nodes of each robot's route, see vehicle.py. A robot that stays is absent or has no nodes."""
@@ -62,6 +62,7 @@ class Neighbors:
         )
         alone = self._out[:, : self.m] + self._out[:, self.m :]
         self._alone = np.where(can, alone, np.inf)  # (N, M)
+        self._last: tuple[object, list[Cluster]] | None = None
 
     def draw(
         self, routes: Stops, most: tuple[int, int], leaders: int, seed: Sequence[int]
@@ -76,7 +77,19 @@ class Neighbors:
         most: robots and tasks in a cluster, at most; the tasks of the two longest routes fit in any case.
         leaders: leaders of each cluster, at most.
         seed: the same seed gives the same clusters at all robots.
+        The last clusters are kept: the robots of a process draw the same ones, one after the other.
         """
+        plan = tuple((i, tuple(routes.get(i, ()))) for i in self.robots)
+        key = (plan, most, leaders, tuple(seed))
+        last = self._last
+        if last is None or last[0] != key:
+            last = (key, self._draw_anew(routes, most, leaders, seed))
+            self._last = last
+        return last[1]
+
+    def _draw_anew(
+        self, routes: Stops, most: tuple[int, int], leaders: int, seed: Sequence[int]
+    ) -> list[Cluster]:
         random = np.random.default_rng(seed)
         share = random.uniform(0.5, 1.0)
         size = [len(list_served_tasks(routes.get(i, ()), self.m)) for i in self.robots]
@@ -140,24 +153,33 @@ class Neighbors:
                 for own, out in zip(stops, self._out, strict=True)
             ]
         )
+        starts = np.column_stack(
+            [self._out[:, own].min(axis=1, initial=np.inf) for own in stops]
+        )
+        farthest = float(to_route.max())
         one_way = np.array(
-            [self._mean_way(to_route, stops, a) for a in range(len(stops))]
+            [
+                _average_ways(start, to_route[:, own], farthest)
+                for start, own in zip(starts, stops, strict=True)
+            ]
         )
         return np.asarray(np.minimum(one_way, one_way.T))
 
-    def _mean_way(self, to_route: Mat, stops: list[Ints], a: int) -> Vec:
-        """Return (N,): mean distance from the nodes of robot a to each route; to_route: (N, 2M)."""
-        start = np.array(
-            [self._out[a, own].min() if len(own) else np.inf for own in stops]
-        )
-        if not len(stops[a]):
-            return np.where(np.isfinite(start), start, to_route.max())
-        ways = to_route[:, stops[a]]
-        start = np.where(np.isfinite(start), start, ways.min(axis=1))
-        # cumsum adds from left to right on every machine, sum does not; all robots must draw alike.
-        return np.asarray(
-            np.column_stack([start, ways]).cumsum(axis=1)[:, -1] / (len(stops[a]) + 1)
-        )
+
+def _average_ways(start: Vec, ways: Mat, farthest: float) -> Vec:
+    """Return (N,) m: the mean distance from the nodes of a robot to each route.
+
+    start: (N,) m, from its start to the stops of each route; inf if the route has none.
+    ways: (N, S) m, from its S stops to the nodes of each route.
+    farthest: m, its distance to a route without stops if it has none either.
+    """
+    if not ways.shape[1]:
+        return np.where(np.isfinite(start), start, farthest)
+    start = np.where(np.isfinite(start), start, ways.min(axis=1))
+    # cumsum adds from left to right on every machine, sum does not; all robots must draw alike.
+    return np.asarray(
+        np.column_stack([start, ways]).cumsum(axis=1)[:, -1] / (ways.shape[1] + 1)
+    )
 
 
 def _gather_groups(

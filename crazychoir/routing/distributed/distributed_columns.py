@@ -13,10 +13,10 @@ from crazychoir.routing.distributed.cluster_problem import (
     bound_saving,
     rename_nodes,
     reoptimize_cluster,
+    restrict_problem,
 )
 from crazychoir.routing.distributed.clusters import (
     Cluster,
-    Neighbors,
     SearchPass,
     list_anytime_passes,
     list_served_tasks,
@@ -26,14 +26,12 @@ from crazychoir.routing.distributed.gossip import Gossip
 from crazychoir.routing.distributed.infeasibility import explain_missing_tasks
 from crazychoir.routing.distributed.large_bound import LargeBound
 from crazychoir.routing.distributed.member import RoutingMember
-from crazychoir.routing.distributed.plan_measure import PlanMeasure, is_better
+from crazychoir.routing.distributed.plan_measure import is_better
 from crazychoir.routing.distributed.proof import PlanOffer, PlanProof, TaskPartition
 from crazychoir.routing.distributed.robot_profile import (
     SENT_FIELD_NAMES,
     introduce_robots,
-    restrict_problem,
 )
-from crazychoir.routing.distributed.team_order import TeamOrder
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
 from crazychoir.routing.pricing.route_table import RouteColumn, find_shortest_route
@@ -78,14 +76,16 @@ class DistributedColumns:
         self._diameter = member.place.diameter
         self._m = len(member.local.tasks)
         self._refusal = member.local.tasks.refusal
-        self._robots: dict[int, LocalProblem] = {}
+        self._robots: Mapping[int, LocalProblem] = {}
         self.routes: dict[int, list[int]] = {}
 
     def run(self) -> Exchange[TaskPartition]:
         """Run steps 1 to 6."""
-        self._robots = yield from introduce_robots(self._member)
-        self._order = TeamOrder.of(self._robots)
-        self._measure = PlanMeasure(self._robots, self._member.vehicle_weight)
+        known = yield from introduce_robots(self._member)
+        self._robots = known.robots
+        self._order = known.order
+        self._measure = known.measure
+        self._near = known.near
         yield from self._begin()
         if self._budget.is_given:
             yield from self._improve(-np.inf, self._draw_passes(early=True))
@@ -223,7 +223,6 @@ class DistributedColumns:
         settings = self._member.settings
         self._member.report(phase="clusters")
         self._member.kind = "plans"
-        near = Neighbors(self._robots, self._order)
         still = 0
         for one in passes:
             missing = self._measure.compute_worth(self.routes)[0]
@@ -232,7 +231,9 @@ class DistributedColumns:
             idle = still == settings.search.still_passes and not self._budget.is_given
             if met or idle or not self._budget.allows(one.steps):
                 return
-            clusters = near.draw(self.routes, one.cluster, one.leaders, [one.number])
+            clusters = self._near.draw(
+                self.routes, one.cluster, one.leaders, [one.number]
+            )
             offers = yield from flood_values(
                 self._i, self._lead(clusters, one), self._diameter
             )

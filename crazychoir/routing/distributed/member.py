@@ -9,7 +9,6 @@ import numpy as np
 from crazychoir.optimization.rounds.budget import NO_BUDGET, Budget, BudgetSettings
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.plan import hash_json
-from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
 from crazychoir.routing.pricing.route_table import (
     MOST_TABLE_LABELS,
     RouteTable,
@@ -231,15 +230,8 @@ class RoutingMember:
 
     @property
     def vehicle_weight(self) -> float:
-        """m: cost of a vehicle beside its route if vehicles are counted first; otherwise 0.
-
-        Lengths of columns and bounds include it; see Instance.vehicle_weight.
-        """
-        return (
-            self.local.fixed
-            if OBJECTIVE_NAMES.vehicles in self.local.objective
-            else 0.0
-        )
+        """m: LocalProblem.vehicle_weight."""
+        return self.local.vehicle_weight
 
     def tolerance(self, value: float) -> float:
         """Return the difference in m below which two values of the relaxations count as equal.

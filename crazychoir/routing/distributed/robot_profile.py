@@ -6,16 +6,15 @@ from typing import Any
 
 import numpy as np
 
+from crazychoir.bus.codec import encode
 from crazychoir.optimization.rounds.agreement import flood_values
 from crazychoir.optimization.rounds.program import Exchange
-from crazychoir.routing.distributed.member import RoutingMember, bound_reach
-from crazychoir.routing.instance.instance import (
-    PUBLIC_FIELDS,
-    LocalProblem,
-    Tasks,
-    group_equal_robots,
+from crazychoir.routing.distributed.member import RoutingMember
+from crazychoir.routing.distributed.team_knowledge import (
+    TeamKnowledge,
+    recall_knowledge,
 )
-from crazychoir.types import Ints
+from crazychoir.routing.instance.instance import PUBLIC_FIELDS, LocalProblem
 
 SENT_FIELD_NAMES = tuple(
     f.name.replace("_", " ")
@@ -30,8 +29,8 @@ If robots have distance matrices of their own, only some robots send at a time.
 """
 
 
-def introduce_robots(member: RoutingMember) -> Exchange[dict[int, LocalProblem]]:
-    """Exchange the problems of all robots and return them by id.
+def introduce_robots(member: RoutingMember) -> Exchange[TeamKnowledge]:
+    """Exchange the problems of all robots and return what all robots then know.
 
     A problem says where the robot is, what it can carry, how far it can fly and what it is capable
     of. Also sets `member.fixed`, `member.reach` and `member.alike`.
@@ -44,39 +43,25 @@ def introduce_robots(member: RoutingMember) -> Exchange[dict[int, LocalProblem]]
         if local.distance is None
         else max(1, MOST_BYTES // local.distance.nbytes)
     )
-    known: dict[int, LocalProblem] = {}
+    told: dict[int, dict[str, Any]] = {}
     for first in range(0, place.robots, at_once):
         turn = range(first, min(first + at_once, place.robots))
-        told = yield from flood_values(
+        found = yield from flood_values(
             place.robot,
             _list_own_fields(local) if place.robot in turn else None,
             place.diameter,
         )
-        known |= {i: _decode_problem(local, i, told[i]) for i in turn}
-    member.fixed = max(robot.fixed for robot in known.values())
-    member.reach = max(bound_reach(robot) for robot in known.values())
-    member.alike = {same[0]: same for same in group_equal_robots(known)}
-    return known
-
-
-def restrict_problem(
-    local: LocalProblem, chosen: Ints, few: Tasks | None = None
-) -> LocalProblem:
-    """Return the problem of the same robot with the tasks `chosen` alone, (K,) in any order.
-
-    few: these tasks, if they are already at hand: robots with the same object share its distances.
-    """
-    m = len(local.tasks)
-    nodes = np.concatenate([chosen, m + chosen, [2 * m]])
-    return replace(
-        local,
-        tasks=local.tasks.only(chosen) if few is None else few,
-        capable=local.capable[chosen],
-        aboard=None if local.aboard is None else local.aboard[chosen],
-        distance=None
-        if local.distance is None
-        else local.distance[np.ix_(nodes, nodes)],
+        told |= {i: found[i] for i in turn}
+    known = recall_knowledge(
+        local.tasks,
+        local.objective,
+        tuple((i, encode(description)) for i, description in told.items()),
+        lambda: {i: _decode_problem(local, i, told[i]) for i in told},
     )
+    member.fixed = known.fixed
+    member.reach = known.reach
+    member.alike = known.alike
+    return known
 
 
 def _list_own_fields(local: LocalProblem) -> dict[str, Any]:

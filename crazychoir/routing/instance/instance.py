@@ -230,6 +230,14 @@ class LocalProblem:
         )
 
     @property
+    def vehicle_weight(self) -> float:
+        """m: cost of a vehicle beside its route if vehicles are counted first; otherwise 0.
+
+        Lengths of columns and bounds include it; see Instance.vehicle_weight.
+        """
+        return self.fixed if OBJECTIVE_NAMES.vehicles in self.objective else 0.0
+
+    @property
     def servable(self) -> npt.NDArray[np.int64]:
         """Indices, increasing, of the tasks that at least one route of this robot could hold."""
         return self.vehicle.servable
