@@ -51,6 +51,14 @@ WINDOWS = {
 }
 
 
+def require_same_vehicle(one, other):
+    np.testing.assert_array_equal(one.distance, other.distance)
+    np.testing.assert_array_equal(one.duration, other.duration)
+    for name, value in vars(replace(other)).items():
+        if name not in ("ways", "times"):
+            np.testing.assert_array_equal(getattr(one, name), value, err_msg=name)
+
+
 def members(instance, links, settings=None):
     n, span = instance.robots, compute_diameter(links)
     places = [
@@ -155,13 +163,7 @@ def test_introductions_tell_all_that_a_route_depends_on(graph, monkeypatch, most
     ):
         for i in range(3):
             mine, told = instance.local(i).vehicle, known.robots[i].vehicle
-            np.testing.assert_array_equal(told.distance, mine.distance)
-            np.testing.assert_array_equal(told.duration, mine.duration)
-            for name, value in vars(replace(mine)).items():
-                if name not in ("ways", "times"):
-                    np.testing.assert_array_equal(
-                        getattr(told, name), value, err_msg=name
-                    )
+            require_same_vehicle(told, mine)
 
 
 def test_robots_of_a_process_that_were_told_the_same_hold_one_object(graph):
@@ -193,8 +195,7 @@ def test_a_robot_restricted_to_some_tasks_is_that_vehicle_with_these_tasks_only(
         np.array([1, 4, 6]),
     )
     part, whole = restrict_problem(local, chosen).vehicle, local.vehicle.only(chosen)
-    for name, value in vars(replace(whole)).items():
-        np.testing.assert_array_equal(getattr(part, name), value, err_msg=name)
+    require_same_vehicle(part, whole)
 
 
 def remote(home, **more):
