@@ -47,8 +47,6 @@ SOLUTION_CHANNEL = "pickup_delivery"
 """Channel of the solution."""
 REPLAY_CHANNEL = "replay"
 """Channel of the replay."""
-PROGRESS_REPORT_RATE = 4
-"""Progress reports a second."""
 Packed = bytes | dict[int, bytes]
 """A message as bytes, or as bytes for each neighbour."""
 
@@ -103,10 +101,15 @@ class SolverRobot:
 
 
 class MessageReplay:
-    """A `Round` that sends the recorded messages of a robot again, without computing."""
+    """A `Round` that sends the recorded messages of a robot again, without computing.
 
-    def __init__(self, payloads: list[Packed]) -> None:
+    payloads: the messages
+    look: called after each round
+    """
+
+    def __init__(self, payloads: list[Packed], look: Callable[[], None]) -> None:
         self._payloads = payloads
+        self._look = look
         self._k = 0
 
     @property
@@ -121,6 +124,7 @@ class MessageReplay:
     def step(self, heard: Mapping[int, Any]) -> None:
         """Ignore the messages, and count the round."""
         self._k += 1
+        self._look()
 
 
 class SolverProcess:
@@ -137,7 +141,7 @@ class SolverProcess:
         self._orders: asyncio.Queue[str] = asyncio.Queue()
         self._clock: Clock
         self._go_ns = 0
-        self._shown = 0.0
+        self._next_report = 0.0
         self._lock = threading.Lock()
 
     async def run(self, clock: Clock) -> None:
@@ -225,7 +229,9 @@ class SolverProcess:
     async def _replay(self, robot: SolverRobot) -> int:
         """Send the same messages once more, without any computation; return the end, ns."""
         await run_algorithm(
-            robot.communicator, MessageReplay(robot.payloads), channel=REPLAY_CHANNEL
+            robot.communicator,
+            MessageReplay(robot.payloads, self._report_progress),
+            channel=REPLAY_CHANNEL,
         )
         ended = self._clock.now_ns()
         await robot.communicator.close(REPLAY_CHANNEL)
@@ -233,25 +239,26 @@ class SolverProcess:
 
     def _look(self, agent: PickupDelivery) -> None:
         """Note a better plan, and report the progress now and then; called in the thread of a step."""
+        cost = agent.work_curve[-1][1] if agent.work_curve else None
         with self._lock:
-            self._note(
-                agent.work_curve[-1][1] if agent.work_curve else None,
-                (self._clock.now_ns() - self._go_ns) / NS_PER_SECOND,
-            )
+            if cost is not None and (not self.curve or cost < self.curve[-1][1]):
+                self.curve.append([self._elapsed(), cost])
+            self._report_progress()
 
-    def _note(self, cost: float | None, now: float) -> None:
-        if cost is not None and (not self.curve or cost < self.curve[-1][1]):
-            self.curve.append([now, cost])
-        if self.spec["watched"] and now >= self._shown:
-            self._shown = now + 1.0 / PROGRESS_REPORT_RATE
-            progress = {i: robot.agent.progress for i, robot in self.robots.items()}
-            write_line(
-                {
-                    "progress": {
-                        i: [p.phase, p.round, p.cost] for i, p in progress.items()
-                    }
-                }
-            )
+    def _report_progress(self) -> None:
+        """Write the progress of all robots, if the last report is old enough."""
+        now = self._elapsed()
+        if now < self._next_report:
+            return
+        self._next_report = now + self.spec["report_period"]
+        progress = {i: robot.agent.progress for i, robot in self.robots.items()}
+        write_line(
+            {"progress": {i: [p.phase, p.round, p.cost] for i, p in progress.items()}}
+        )
+
+    def _elapsed(self) -> float:
+        """Return the time since GO, s."""
+        return (self._clock.now_ns() - self._go_ns) / NS_PER_SECOND
 
     def _report(self, cpu: float, ended: list[int]) -> dict[str, Any]:
         robots = self.robots.values()

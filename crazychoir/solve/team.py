@@ -39,10 +39,14 @@ START_DEADLINE = 300.0
 
 Kernels are compiled at the first use.
 """
-SOLVE_DEADLINE = 600.0
-"""s from GO to the plan."""
-PATIENCE_MARGIN = 10.0
-"""s by which this process waits longer for an answer than the deadline of its processes."""
+ROUND_DEADLINE = 600.0
+"""s of a round, in which the slowest robot makes its longest step."""
+SHOWN_REPORT_PERIOD = 0.25
+"""s between two reports of a process if its progress is shown."""
+REPORT_PERIOD = 10.0
+"""s between two reports of a process if its progress is not shown."""
+PATIENCE_MARGIN = REPORT_PERIOD + 10.0
+"""s by which the silence of all processes may exceed a round: reports are late by a period."""
 
 Progress = dict[int, tuple[str, int, float | None]]
 """{robot: (phase, round, cost of the best plan in m or None)}."""
@@ -55,7 +59,7 @@ def solve_in_processes(
     processes: int,
     options: SolveOptions = DEFAULT_SOLVE_OPTIONS,
     *,
-    deadline: float = SOLVE_DEADLINE,
+    deadline: float = ROUND_DEADLINE,
     watch: Callable[[Progress], None] | None = None,
     interruption: Interruption | None = None,
 ) -> dict[str, Any]:
@@ -78,7 +82,7 @@ def solve_in_processes(
     instance: the pickup-and-delivery problem
     processes: number of processes
     options: method, network and seed
-    deadline: s, limit of the whole solution, beside the seconds of the budget
+    deadline: s, limit of each round; a solution may take any number of rounds
     watch: called with the progress of all robots, or None
     interruption: ends the computation with the best plan, None if nothing can
     Raises InstanceError, ConfigError, or ProcessFailed if a process fails, ends, or is silent for
@@ -96,7 +100,6 @@ def solve_in_processes(
         raise ConfigError(
             "method", options.method, ", ".join(PLANNING_METHODS), "Choose one of them."
         )
-    deadline += options.settings.budget.seconds or 0.0
     network = NetworkTable(loss=options.loss, burst=options.burst)
     require_loss_of_burst(network)
     parts = [
@@ -115,14 +118,14 @@ def solve_in_processes(
         }
         common |= {
             "neighbors": {i: links.neighbors(i) for i in links.ids},
-            "watched": watch is not None,
+            "report_period": REPORT_PERIOD if watch is None else SHOWN_REPORT_PERIOD,
         }
         with (
             reserve_ports(dict.fromkeys(range(len(parts)), LOCAL_ADDRESS)) as base,
             share_with_children(folder),
             ProgramGroup(_build_commands(parts, common | {"base": base})) as group,
         ):
-            run = _SolverRun(group, parts, watch or (lambda progress: None))
+            run = SolverRun(group, parts, watch or (lambda progress: None))
             patience = deadline + PATIENCE_MARGIN
             run.wait("ready", START_DEADLINE, "do not find each other")
             started = time.perf_counter() - began
@@ -138,8 +141,15 @@ def solve_in_processes(
     }
 
 
-class _SolverRun:
-    """The answers of the processes, in order; raises ProcessFailed if something goes wrong."""
+class SolverRun:
+    """The answers of the processes, in order; raises ProcessFailed if something goes wrong.
+
+    Each process reports its progress, so that only a team without any progress is given up.
+
+    group: the processes
+    parts: the robots of each process
+    watch: called with the progress of all robots
+    """
 
     def __init__(
         self,
@@ -156,7 +166,7 @@ class _SolverRun:
         """Return this answer of every process.
 
         key: name of the answer
-        patience: s, time limit
+        patience: s, longest time without any answer
         complaint: what the missing processes have not done, for the error text
         """
         found: dict[int, Any] = {}
@@ -168,13 +178,9 @@ class _SolverRun:
         raise ProcessFailed("the team", "no answer")
 
     def _heard(self, patience: float, complaint: str) -> Iterator[Answer]:
-        ends = time.perf_counter() + patience
         while True:
             try:
-                yield from map(
-                    self._look,
-                    self._group.answers(1, ends - time.perf_counter(), complaint),
-                )
+                yield from map(self._look, self._group.answers(1, patience, complaint))
             except ProgramEnded as error:
                 raise ProcessFailed(
                     f"robots {describe_ids(self._parts[error.number])}", str(error)
