@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.mission import import_from_file
 from crazychoir.guidance.user_hook import Hook
 from crazychoir.numerics.compiling import KERNEL_QUEUE
 from crazychoir.optimization.history import History
+from crazychoir.runtime.user_module import import_from_file
 from crazychoir.solve import simulate as simulation
 from crazychoir.team.graph import Graph, graph_from_name
 from crazychoir.team.round import Round

@@ -4,8 +4,6 @@ import hashlib
 import importlib
 import importlib.util
 import pkgutil
-import sys
-import traceback
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Protocol, cast
@@ -13,12 +11,12 @@ from typing import Any, Protocol, cast
 from crazychoir.config.checks import refuse_conflicts
 from crazychoir.config.digest import compute_digest, compute_key_digests
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.errors import ConfigError, Hung, error_text, refuse_exit
+from crazychoir.errors import ConfigError
 from crazychoir.files.examples import find_example, list_examples, suggest_name
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission_hooks import MissionFile
 from crazychoir.radio.budget import compute_setpoint_rates
-from crazychoir.runtime.user_code_guard import USER_CODE_TIMES, limit_duration
+from crazychoir.runtime.user_module import import_from_file
 from crazychoir.types import Point
 
 MISSION_PACKAGE = "crazychoir.agents"
@@ -165,54 +163,3 @@ def _import_from_package(name: str) -> ModuleType:
         do = f"{near} Or give the path of a .py file.".strip()
         raise ConfigError("mission", name, ", ".join(names), do)
     return importlib.import_module(f"{MISSION_PACKAGE}.{name}")
-
-
-def import_from_file(path: Path, kind: str) -> ModuleType:
-    """Return the module of a user's .py file.
-
-    kind: what errors call the file, such as "mission".
-    Raises ConfigError if the file cannot be imported.
-    """
-    if not path.is_file():
-        raise ConfigError(kind, str(path), "a Python file that exists")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    if spec is None or spec.loader is None:
-        raise ConfigError(kind, str(path), "a Python file")
-    module = importlib.util.module_from_spec(spec)
-    _allow_neighbor_imports(path)
-    try:
-        with (
-            limit_duration(USER_CODE_TIMES.hook_limit, f"the import of {path}"),
-            refuse_exit(f"the {kind} file"),
-        ):
-            spec.loader.exec_module(module)
-    except Exception as error:
-        if isinstance(error.__cause__, SystemExit):
-            raise
-        lines = [
-            at.lineno
-            for at in traceback.extract_tb(error.__traceback__)
-            if at.filename == spec.origin
-        ]
-        where = f"{kind} {path}{f':{lines[-1]}' if lines else ''}"
-        hangs = isinstance(error, Hung)
-        found = (
-            f"no end within {USER_CODE_TIMES.hook_limit:g} s of its import"
-            if hangs
-            else error_text(error)
-        )
-        raise ConfigError(
-            where, found, "a file that Python can import", "Correct it."
-        ) from error
-    return module
-
-
-def _allow_neighbor_imports(path: Path) -> None:
-    """Let a mission file import the files beside it, as a script may.
-
-    Installed modules of the same name come first. The folder stays in the import path, because a
-    mission may import during the flight.
-    """
-    folder = str(path.resolve().parent)
-    if folder not in sys.path:
-        sys.path.append(folder)

@@ -42,6 +42,19 @@ def test_a_command_line_starts_without_what_is_heavy(module):
     assert HEAVY & set(loaded) == set()
 
 
+@pytest.mark.parametrize("name", ["simulating", "solving"])
+def test_what_computes_without_flight_loads_nothing_that_flies(name):
+    module = f"crazychoir.api.{name}"
+    program = f"import sys, json, {module}; print(json.dumps(list(sys.modules)))"
+    loaded = json.loads(
+        subprocess.run(
+            [sys.executable, "-c", program], check=True, capture_output=True
+        ).stdout
+    )
+    assert module in loaded
+    assert not [m for m in loaded if m.startswith(("crazychoir.flight", "cvxpy"))]
+
+
 def test_its_version_is_told():
     command = (sys.executable, "-m", "crazychoir.cli.main", "--version")
     said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
