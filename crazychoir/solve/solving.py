@@ -62,7 +62,7 @@ def solve_here(
             agents,
             links,
             loss=options.loss,
-            network={"delay": 0.0} | bursts,
+            network=bursts,
             seed=options.seed,
             record=(),
             watch=clocked.look,

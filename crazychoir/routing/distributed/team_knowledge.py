@@ -76,13 +76,13 @@ def recall_knowledge(
     decode: returns the problems of all robots.
     """
     key = (tasks, objective, descriptions)
-    known = _KNOWLEDGE.get(key)
+    known = _KNOWN_TEAMS.get(key)
     if known is None:
         known = TeamKnowledge(decode())
-        _KNOWLEDGE[key] = known
+        _KNOWN_TEAMS[key] = known
     return known
 
 
-_KNOWLEDGE: WeakValueDictionary[
+_KNOWN_TEAMS: WeakValueDictionary[
     tuple[Tasks, tuple[str, ...], Descriptions], TeamKnowledge
 ] = WeakValueDictionary()
