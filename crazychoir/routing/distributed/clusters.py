@@ -249,9 +249,11 @@ def list_anytime_passes(settings: AnytimeSettings) -> Iterator[SearchPass]:
 
     A larger budget of search steps therefore begins with all passes of a smaller one, and is never worse.
     """
-    steps = settings.first_steps
     for number in count():
         yield SearchPass(
-            number, steps, settings.cluster, settings.leaders, settings.temperature
+            number,
+            settings.steps if number else settings.first_steps,
+            settings.cluster,
+            settings.leaders,
+            settings.temperature,
         )
-        steps = min(2 * steps, settings.most_steps)

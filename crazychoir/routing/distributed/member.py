@@ -107,9 +107,13 @@ class AnytimeSettings:
     first_passes: int = 3
     """Passes before the relaxation of the problem and its proof."""
     first_steps: int = 40_000
-    """Search steps of a leader in the first pass; each further pass has twice as many, up to `most_steps`."""
-    most_steps: int = 80_000
-    """Largest number of search steps of a leader in a pass."""
+    """Search steps of a leader in the first pass: few, for an early plan."""
+    steps: int = 120_000
+    """Search steps of a leader in each further pass.
+
+    One long pass finds better plans than several short ones with as many steps, because it cools
+    more slowly. But the search ends between passes only.
+    """
     temperature: float = 0.15
     """First temperature, as SearchOptions.first_temperature: low, to keep most of the plan."""
     cluster: tuple[int, int] = (100, 200)

@@ -11,7 +11,7 @@ from crazychoir.routing.distributed.plain_loop import make_team, solve_in_loop
 from crazychoir.routing.instance.generate import InstanceShape, random_instance
 
 INSTANCE = random_instance(5, 24, 3, InstanceShape(capacities=(3, 7)))
-SMALL_PASSES = AnytimeSettings(first_steps=200, most_steps=400)
+SMALL_PASSES = AnytimeSettings(first_steps=200, steps=400)
 
 
 def settings(**budget):
