@@ -51,6 +51,8 @@ class History:
     """
     results: dict[int, Any] = field(default_factory=dict)
     """{agent: its `result` at the end}, for agents that have one."""
+    traffic: dict[int, Any] = field(default_factory=dict)
+    """{agent: (K+1, 2)}: numbers of messages and of bytes that it had sent at each value."""
 
     @property
     def violation(self) -> float | None:

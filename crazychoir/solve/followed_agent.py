@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from crazychoir.bus.port import Counters
 from crazychoir.errors import AgentFailed, ConfigError
 from crazychoir.optimization.rounds.checks import find_nan
 
@@ -15,7 +16,7 @@ MOST_ROUNDS: Final = 1_000_000
 
 
 class FollowedAgent:
-    """An agent with a record of its values, their times, and the computing time of each step.
+    """An agent with a record of its values, their times, its messages, and the computing time of each step.
 
     i: id
     agent: a Round
@@ -42,14 +43,17 @@ class FollowedAgent:
         self._seconds = time.thread_time if self.heavy else time.perf_counter
         self.kept: dict[str, list[Any]] = {name: [] for name in record}
         self.times: list[float] = []
+        self.traffic: list[tuple[int, int]] = []
         self.cpu: list[float] = []
 
-    def begin(self, now: Callable[[], float]) -> None:
+    def begin(self, now: Callable[[], float], counters: Counters) -> None:
         """Keep the values at the start.
 
         now: returns the time of the simulation, s
+        counters: counts of the messages of this agent
         """
         self._now = now
+        self._counters = counters
         self._began = now()
         self._keep()
 
@@ -87,7 +91,7 @@ class FollowedAgent:
             len(self.times) - 1,
             *(len(series) - 1 for series in self.kept.values()),
         )
-        del self.cpu[steps:], self.times[steps + 1 :]
+        del self.cpu[steps:], self.times[steps + 1 :], self.traffic[steps + 1 :]
         for series in self.kept.values():
             del series[steps + 1 :]
         return self.times[-1]
@@ -98,6 +102,7 @@ class FollowedAgent:
 
     def _keep(self) -> None:
         self.times.append(self._now() - self._began)
+        self.traffic.append((self._counters.sent, self._counters.bytes))
         for name, series in self.kept.items():
             try:
                 series.append(np.array(getattr(self.agent, name)))

@@ -81,7 +81,7 @@ class LockstepTeam:
         self._agents = agents
         self._channel = channel
         self._neighbors = {i: graph.in_neighbors(i) for i in agents}
-        self._counts = Counters()
+        self._counts = {i: Counters() for i in agents}
         self._round = 0
         self._ended_at: dict[int, int] = {}
         self._inboxes: dict[int, dict[int, Message]] = {}
@@ -93,16 +93,16 @@ class LockstepTeam:
 
     @property
     def counters(self) -> list[Counters]:
-        """Counts of the messages of all agents."""
-        return [self._counts]
+        """Counts of the messages of each agent."""
+        return list(self._counts.values())
 
     def run(self) -> float:
         """Run all agents until each is done or has failed; return the time of the simulation, s."""
         return run_virtual(self._main)
 
     async def _main(self, clock: Clock) -> float:
-        for agent in self._agents.values():
-            agent.begin(clock.now)
+        for i, agent in self._agents.items():
+            agent.begin(clock.now, self._counts[i])
         self.has_begun = True
         active = list(self._agents)
         self._inboxes = {i: {} for i in active}
@@ -179,7 +179,7 @@ class LockstepTeam:
         inboxes = self._inboxes
         for j in neighbors:
             inboxes[j][i] = message
-        counts = self._counts
+        counts = self._counts[i]
         counts.sent += len(neighbors)
         counts.bytes += len(neighbors) * len(payload)
 
@@ -188,13 +188,13 @@ class LockstepTeam:
         for j, payload in payloads.items():
             message = Message(ROUND_TOPIC, i, payload, self._round, self._channel)
             self._inboxes[j][i] = message
-            self._counts.sent += 1
-            self._counts.bytes += len(payload)
+            self._counts[i].sent += 1
+            self._counts[i].bytes += len(payload)
 
     def _close(self, i: int) -> None:
         """Note that agent i has ended the channel, and count the messages of the end."""
         self._ended_at[i] = self._round
-        self._counts.sent += _CLOSING_MESSAGES * len(self._neighbors[i])
+        self._counts[i].sent += _CLOSING_MESSAGES * len(self._neighbors[i])
 
     def _fail(self, i: int, ended: AlgorithmEnded) -> None:
         """Note the error of agent i, and tell its neighbours in place of its next message."""

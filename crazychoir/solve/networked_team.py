@@ -74,12 +74,11 @@ class NetworkedTeam:
     async def _main(self, clock: Clock) -> float:
         bus = Bus(clock, self._network)
         start = clock.now()
-        for agent in self._agents.values():
-            agent.begin(clock.now)
+        ports = {i: bus.port(i) for i in self._agents}
+        for i, agent in self._agents.items():
+            agent.begin(clock.now, ports[i].counters)
         self._bus = bus
-        communicators = {
-            i: Communicator(bus.port(i), self._graph) for i in self._agents
-        }
+        communicators = {i: Communicator(ports[i], self._graph) for i in self._agents}
         async with asyncio.TaskGroup() as group:
             for i, agent in self._agents.items():
                 group.create_task(

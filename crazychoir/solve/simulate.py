@@ -116,6 +116,7 @@ def simulate(
         values={i: agent.values() for i, agent in followed.items()},
         times={i: np.array(agent.times) for i, agent in followed.items()},
         cpu={i: np.array(agent.cpu) for i, agent in followed.items()},
+        traffic={i: np.array(agent.traffic) for i, agent in followed.items()},
         messages=sum(c.sent for c in counters),
         lost=sum(c.lost for c in counters),
         resent=sum(c.resent for c in counters),

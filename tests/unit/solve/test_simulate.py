@@ -154,6 +154,22 @@ def test_it_counts_messages_bytes_and_computing():
     )
 
 
+@pytest.mark.parametrize("loss", [0.0, 0.4])
+def test_a_history_says_what_each_agent_had_sent_at_each_value(loss):
+    links = path(3)
+    history = simulate(averaging(links, 5), links, loss=loss)
+    plain = simulate(averaging(links, 5), links).traffic
+    for i, sent in history.traffic.items():
+        assert sent.shape == (6, 2)
+        rounds = np.arange(6)
+        assert (plain[i][:, 0] == len(links.neighbors(i)) * rounds).all()
+        assert (sent >= plain[i])[1:].all()
+        assert (np.diff(sent, axis=0) >= 0).all()
+    last = sum(sent[-1] for sent in history.traffic.values())
+    assert last[0] <= history.messages
+    assert last[1] <= history.bytes
+
+
 def test_a_history_is_written_and_read(tmp_path):
     history = simulate(averaging(path(3), 4), path(3))
     for suffix in (".csv", ".json", ".npz"):
