@@ -422,5 +422,13 @@ Heard = dict[int, State]
 """By id: the newest state of each neighbour that is heard."""
 
 
+@dataclass(frozen=True)
+class Malformed:
+    """Stands for a message that could not be decoded; algorithms among liars take it."""
+
+    reason: str
+    """What is wrong with it, in words."""
+
+
 class PerNeighbor(dict[int, Any]):
     """A separate value for each neighbour: `PerNeighbor({j: value})` sends each value to its j alone."""

@@ -39,6 +39,7 @@ class FollowedAgent:
         self.most = MOST_ROUNDS if rounds is None else rounds
         self.asynchronous = bool(getattr(agent, "asynchronous", False))
         self.heavy = bool(getattr(agent, "heavy", False))
+        self.takes_malformed = bool(getattr(agent, "takes_malformed", False))
         # perf_counter needs no system call, but it counts pauses of the thread as well.
         self._seconds = time.thread_time if self.heavy else time.perf_counter
         self.kept: dict[str, list[Any]] = {name: [] for name in record}

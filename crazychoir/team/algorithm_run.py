@@ -126,7 +126,8 @@ async def _run_in_rounds(
     """
     i = communicator.id
     heavy = getattr(algorithm, "heavy", False)
-    communicator.open(channel, getattr(algorithm, "joinable", False))
+    opened = communicator.open(channel, getattr(algorithm, "joinable", False))
+    opened.takes_malformed = getattr(algorithm, "takes_malformed", False)
     compute = communicator.port.bus.clock.compute
     saying = refuse_exit(f"message() of agent {i}")
     stepping = refuse_exit(f"step() of agent {i}")

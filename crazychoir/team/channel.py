@@ -234,6 +234,8 @@ class Channel:
     """Error that the next verb raises because the channel was restarted."""
     gate: "asyncio.Future[None] | None" = None
     """Resolved when there is news of the readers' progress."""
+    takes_malformed: bool = False
+    """True if a message that cannot be decoded is no error of its reader, who gets a Malformed."""
 
     @classmethod
     def beginning(

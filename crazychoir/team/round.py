@@ -18,6 +18,9 @@ class Round(Protocol):
     may be lost. Each agent stops when it is `done` itself.
     `waits = True` beside it says that the algorithm needs all of its neighbours: a lost neighbour
     ends it.
+
+    A message that cannot be decoded ends the algorithm, unless it is synchronous and has
+    `takes_malformed = True`: then `step` gets a `Malformed` in the place of the message.
     """
 
     @property

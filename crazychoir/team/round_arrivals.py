@@ -30,6 +30,7 @@ from crazychoir.team.round_sender import (
     ROUND_TOPIC,
     RoundSender,
 )
+from crazychoir.types import Malformed
 
 FIRST_REFUSED_ROUND: Final = 1 << 48
 """First round number that is refused as malformed."""
@@ -155,20 +156,26 @@ class RoundArrivals:
         self.take(Message(ROUND_TOPIC, source, own, number, channel, repeat), age)
 
     def open_all(
-        self, messages: dict[int, Message], senders: tuple[int, ...]
+        self,
+        messages: dict[int, Message],
+        senders: tuple[int, ...],
+        takes_malformed: bool,
     ) -> dict[int, Any]:
         """Return the values of the messages of these senders; those without a message are left out.
 
-        Raises CodecError, and counts the message, if one is malformed.
+        takes_malformed: True to return a Malformed for a message that cannot be decoded
+        Counts each message that cannot be decoded; raises CodecError without takes_malformed.
         """
         values = {}
-        try:
-            for j in senders:
-                if j in messages:
+        for j in senders:
+            if j in messages:
+                try:
                     values[j] = messages[j].open()
-        except CodecError:
-            self._port.counters.malformed += 1
-            raise
+                except CodecError as error:
+                    self._port.counters.malformed += 1
+                    if not takes_malformed:
+                        raise
+                    values[j] = Malformed(str(error))
         return values
 
     # Answers --------------------------------------------------------------------------

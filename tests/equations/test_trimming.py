@@ -8,6 +8,7 @@ import pytest
 from crazychoir.optimization.algorithms.resilient.robustness import robustness
 from crazychoir.optimization.algorithms.resilient.trimming import WMSR, TrimmedMean
 from crazychoir.team.graph import complete, erdos_renyi_connected, k_regular, ring, star
+from crazychoir.types import Malformed
 
 
 def w_msr(own, heard, F):
@@ -35,6 +36,33 @@ def test_an_agent_keeps_the_values_that_its_rule_keeps(kind, rule, liars):
         agent.step(dict(enumerate(heard, start=1)))
         expected = [rule(own[n], list(heard[:, n]), liars) for n in range(4)]
         assert agent.x == pytest.approx(expected, abs=1e-12)
+
+
+MALFORMED = (
+    Malformed("bytes that do not decode"),
+    "text",
+    np.ones(3),
+    np.full(4, np.nan),
+)
+
+
+@pytest.mark.parametrize(("kind", "rule"), [(WMSR, w_msr), (TrimmedMean, trimmed_mean)])
+@pytest.mark.parametrize("malformed", MALFORMED)
+def test_a_message_that_no_honest_agent_sends_uses_up_a_liar(kind, rule, malformed):
+    chance = np.random.default_rng(5)
+    own = chance.normal(size=4)
+    heard = chance.normal(size=(5, 4))
+    agent = kind(0, own, 2)
+    agent.step({9: malformed} | dict(enumerate(heard, start=1)))
+    expected = [rule(own[n], list(heard[:, n]), 1) for n in range(4)]
+    assert agent.x == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", [WMSR, TrimmedMean])
+def test_an_agent_that_hears_malformed_messages_alone_keeps_its_value(kind):
+    agent = kind(0, [1.0, 2.0], 1)
+    agent.step({j: Malformed("") for j in (1, 2, 3)})
+    assert agent.x.tolist() == [1.0, 2.0]
 
 
 def robust_by_definition(graph, r):

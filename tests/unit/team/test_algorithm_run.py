@@ -5,18 +5,29 @@ import asyncio
 import numpy as np
 import pytest
 
+from crazychoir.bus import codec
 from crazychoir.bus.impairment.model import Impairment
 from crazychoir.bus.impairment.rules import ImpairmentRule
 from crazychoir.bus.port import Bus
-from crazychoir.errors import AgentFailed, ChannelEnded, PeerLost, SolverError
+from crazychoir.errors import (
+    AgentFailed,
+    ChannelEnded,
+    CodecError,
+    PeerLost,
+    SolverError,
+)
 from crazychoir.optimization.algorithms import asymm
 from crazychoir.optimization.algorithms.asymm import ASYMM
+from crazychoir.optimization.algorithms.resilient.trimming import WMSR
 from crazychoir.optimization.problems.smooth import SmoothFunction, SmoothProblem
 from crazychoir.runtime.clock import run_virtual
 from crazychoir.team.algorithm_run import WakingTimes, run_algorithm
 from crazychoir.team.communicator import Communicator
 from crazychoir.team.graph import complete, path, ring
 from crazychoir.types import Failure
+
+GIBBERISH = object()
+"""Stands for a message with bytes that do not decode."""
 
 
 class Counting:
@@ -118,6 +129,44 @@ def test_an_asynchronous_agent_that_fails_while_others_say_their_last_words_ends
     assert {(type(error), error.agent) for error in found.values()} == {
         (AgentFailed, 2)
     }
+
+
+class Gabbling(WMSR):
+    """A liar with messages that do not decode."""
+
+    def message(self):
+        return GIBBERISH
+
+
+def send_gibberish(monkeypatch):
+    def encode(data):
+        return b"\xff" if data is GIBBERISH else codec.encode(data)
+
+    monkeypatch.setattr("crazychoir.team.round_sender.encode", encode)
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.4])
+def test_honest_agents_agree_although_messages_of_a_liar_do_not_decode(
+    loss, monkeypatch
+):
+    send_gibberish(monkeypatch)
+    agents = {i: WMSR(i, [float(i)], 1, 40) for i in range(4)}
+    agents[4] = Gabbling(4, [0.0], 1, 40)
+    found, _ = endings(agents, complete(5), loss)
+    assert set(found.values()) == {None}
+    x = [float(agents[i].x[0]) for i in range(4)]
+    assert max(x) - min(x) < 1e-9
+    assert 0.0 <= min(x) <= max(x) <= 3.0
+
+
+def test_a_message_that_does_not_decode_ends_an_algorithm_that_expects_no_liars(
+    monkeypatch,
+):
+    send_gibberish(monkeypatch)
+    agents = {i: Counting(9) for i in range(2)}
+    agents[2] = Gabbling(2, [0.0], 0, 9)
+    found, _ = endings(agents, complete(3))
+    assert isinstance(found[0], CodecError)
 
 
 # Coroutines that exchange by themselves ---------------------------------------------------------------------------

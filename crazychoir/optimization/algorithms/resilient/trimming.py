@@ -15,11 +15,13 @@ from crazychoir.types import Bools, Mat, Vec
 class _Trimming(Iteration):
     """The part of both algorithms: the values heard, and the mean of what is kept.
 
-    A value that is no array of floats of the own shape, or has an entry that is not finite, counts
-    as the own value: a liar could have sent that as well.
+    A message that cannot be decoded, a value that is no array of floats of the own shape, and one
+    with an entry that is not finite come from a liar. They are left out, and so many fewer values
+    are trimmed.
     """
 
     connected = True
+    takes_malformed = True
     same = ("liars",)
 
     def __init__(
@@ -32,10 +34,11 @@ class _Trimming(Iteration):
         self.liars = liars
 
     @abstractmethod
-    def kept(self, heard: Mat) -> Bools:
+    def kept(self, heard: Mat, liars: int) -> Bools:
         """Return True (m, n) for the entries that count.
 
-        heard: (m, n) values of the m neighbours, sorted in each column
+        heard: (m, n) credible values of m neighbours, sorted in each column
+        liars: most liars among them
         """
 
     def message(self) -> Vec:
@@ -53,10 +56,12 @@ class _Trimming(Iteration):
             allowed = f"{least} or more for {self.liars} liars"
             found = f"{len(heard)} agents that it hears"
             raise ConfigError(f"agent {self.i}", found, allowed, do)
-        values = np.array([self._credible(x) for x in heard.values()])
-        values = np.sort(values.reshape(len(heard), -1), axis=0)
-        kept = self.kept(values)
+        credible = [x for x in heard.values() if self._is_credible(x)]
+        unmasked = len(heard) - len(credible)
         own = self.x.reshape(-1)
+        values = np.array(credible).reshape(len(credible), len(own))
+        values = np.sort(values, axis=0)
+        kept = self.kept(values, max(0, self.liars - unmasked))
         total = own + np.where(kept, values, 0.0).sum(axis=0)
         mean = total / (1.0 + kept.sum(axis=0))
         counted = np.vstack([own, np.where(kept, values, own)])
@@ -64,16 +69,14 @@ class _Trimming(Iteration):
         mean = np.clip(mean, counted.min(axis=0), counted.max(axis=0))
         self.x = mean.reshape(self.x.shape)
 
-    def _credible(self, x: Any) -> Vec:
-        """Return the value x that a neighbour sent, or the own value if x cannot be one."""
-        if (
+    def _is_credible(self, x: Any) -> bool:
+        """Return True if an honest neighbour could have sent x."""
+        return (
             isinstance(x, np.ndarray)
             and x.dtype == np.float64
             and x.shape == self.x.shape
-            and np.isfinite(x).all()
-        ):
-            return x
-        return self.x
+            and bool(np.isfinite(x).all())
+        )
 
 
 class WMSR(_Trimming):
@@ -100,14 +103,14 @@ class WMSR(_Trimming):
     networks", IEEE J. Sel. Areas Commun. 31(4), 766-781.
     """
 
-    def kept(self, heard: Mat) -> Bools:
+    def kept(self, heard: Mat, liars: int) -> Bools:
         """Return True for the entries that are not among the F most extreme beside x_i."""
         own = self.x.reshape(-1)
         place = np.arange(len(heard))[:, None]
         below = (heard < own).sum(axis=0)
         above = (heard > own).sum(axis=0)
-        first = np.minimum(self.liars, below)
-        last = len(heard) - np.minimum(self.liars, above)
+        first = np.minimum(liars, below)
+        last = len(heard) - np.minimum(liars, above)
         middle: Bools = (place >= first) & (place < last)
         return middle
 
@@ -131,8 +134,8 @@ class TrimmedMean(_Trimming):
     directed graphs", ACM PODC, 365-374.
     """
 
-    def kept(self, heard: Mat) -> Bools:
+    def kept(self, heard: Mat, liars: int) -> Bools:
         """Return True for all entries but the F smallest and the F largest."""
         place = np.arange(len(heard))[:, None]
-        middle = (place >= self.liars) & (place < len(heard) - self.liars)
+        middle = (place >= liars) & (place < len(heard) - liars)
         return np.broadcast_to(middle, heard.shape)
