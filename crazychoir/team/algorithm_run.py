@@ -127,7 +127,7 @@ async def _run_in_rounds(
     i = communicator.id
     heavy = getattr(algorithm, "heavy", False)
     opened = communicator.open(channel, getattr(algorithm, "joinable", False))
-    opened.takes_malformed = getattr(algorithm, "takes_malformed", False)
+    opened.peers.takes_malformed = getattr(algorithm, "takes_malformed", False)
     compute = communicator.port.bus.clock.compute
     saying = refuse_exit(f"message() of agent {i}")
     stepping = refuse_exit(f"step() of agent {i}")

@@ -82,6 +82,8 @@ class NeighborProgress:
     """{neighbour that has ended the channel: first round in which it did not take part}."""
     kept: dict[int, int] = field(default_factory=dict)
     """{neighbour that was without us for a while: first round that it still has}."""
+    takes_malformed: bool = False
+    """True if a reader gets a Malformed for a message that cannot be decoded, and no error."""
 
     def forget(self, peers: Iterable[int]) -> None:
         """Forget the state of neighbours that have left or were restarted."""
@@ -234,8 +236,6 @@ class Channel:
     """Error that the next verb raises because the channel was restarted."""
     gate: "asyncio.Future[None] | None" = None
     """Resolved when there is news of the readers' progress."""
-    takes_malformed: bool = False
-    """True if a message that cannot be decoded is no error of its reader, who gets a Malformed."""
 
     @classmethod
     def beginning(

@@ -230,7 +230,7 @@ class Communicator:
             for j, (message, born_ns) in latest.items()
             if born_ns >= oldest_ns
         }
-        return self._open_all(young, neighbors, ch.takes_malformed)
+        return self._open_all(young, neighbors, ch.peers.takes_malformed)
 
     async def close(
         self, channel: str = "main", linger: float = CLOSING_RULES.linger_time
@@ -337,4 +337,4 @@ class Communicator:
         if policy == "hold":
             latest = ch.peers.latest
             box = {j: latest[j][0] for j in wanted if j in latest} | box
-        return self._open_all(box, wanted, ch.takes_malformed)
+        return self._open_all(box, wanted, ch.peers.takes_malformed)
