@@ -7,7 +7,10 @@ import pytest
 from in_step import run_in_step
 
 from crazychoir.optimization.algorithms.stochastic.gt_adam import GTAdam, Momentum
-from crazychoir.optimization.algorithms.stochastic.gt_saga import GTSAGA
+from crazychoir.optimization.algorithms.stochastic.gt_saga import (
+    GTSAGA,
+    SUMMATION_ROUNDS,
+)
 from crazychoir.optimization.generate import random_quadratics
 from crazychoir.optimization.problems.gradient import Samples
 from crazychoir.optimization.rounds.mixing import team
@@ -51,6 +54,25 @@ def test_gt_saga_follows_its_equation(batch):
         y, g = W @ y + np.array(new) - g, np.array(new)
         assert gathered(agents, "x") == pytest.approx(x, abs=1e-11)
         assert gathered(agents, "y").sum(axis=0) == pytest.approx(g.sum(axis=0))
+
+
+def test_rounding_errors_of_a_far_start_do_not_stay_in_the_mean_gradient():
+    chance = np.random.default_rng(7)
+    a, b = chance.normal(size=(6, 8, 3)), chance.normal(size=(6, 8))
+
+    def samples(i):
+        return Samples(
+            i, lambda x, s: a[i, s] * (a[i, s] @ x - b[i, s]), range(8), batch=8
+        )
+
+    def mean_gradient(i, x):
+        return a[i].T @ (a[i] @ x - b[i]) / 8
+
+    agents = team(GRAPH, lambda i, w: GTSAGA(i, np.full(3, 1e9), w, samples(i), 0.1))
+    run_in_step(agents, GRAPH, 4 * SUMMATION_ROUNDS)
+    for i, agent in agents.items():
+        assert np.abs(agent.x).max() < 1000.0
+        assert agent.g == pytest.approx(mean_gradient(i, agent.x), rel=1e-9)
 
 
 def test_gt_adam_follows_its_equation():

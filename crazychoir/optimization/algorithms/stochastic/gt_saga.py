@@ -1,5 +1,7 @@
 """GT-SAGA: gradient tracking with variance reduction, for losses of many samples."""
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -11,6 +13,11 @@ from crazychoir.types import Vec
 
 SMALL_ENOUGH_STEP = "of the order of (1 - s)^2 / L, s the second largest singular value of W, losses L-smooth"
 """Steps with which GT-SAGA converges, for error texts."""
+SUMMATION_ROUNDS: Final = 64
+"""Rounds after which the mean of the table is summed up anew.
+
+In between it is updated by the changes of the table. Their rounding errors would add up.
+"""
 
 
 class GTSAGA(Tracking):
@@ -66,7 +73,10 @@ class GTSAGA(Tracking):
         change = new - self._table[drawn]
         g: Vec = change.mean(axis=0) + self._mean
         self._table[drawn] = new
-        self._mean = self._mean + change.sum(axis=0) / len(self._table)
+        if (k + 1) % SUMMATION_ROUNDS == 0:
+            self._mean = self._table.mean(axis=0)
+        else:
+            self._mean = self._mean + change.sum(axis=0) / len(self._table)
         return g
 
     def direction(self) -> Vec:
