@@ -104,7 +104,7 @@ def test_coupled_control_is_admm_with_copies_of_both_outputs_of_an_edge():
     edges = [(0, 1), (1, 2)]
     dual = {(e, i): np.zeros(steps) for e in edges for i in e}
     degree = [1, 2, 1]
-    y = [plan(start[i], np.zeros(steps), degree[i]) for i in range(3)]
+    y = [plan(start[i], np.zeros(steps), 0) for i in range(3)]
     for _ in range(12):
         run_in_step(agents, graph, 1)
         copy = {}

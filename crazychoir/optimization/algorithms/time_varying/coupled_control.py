@@ -55,7 +55,8 @@ class CoupledMPC(Iteration):
     rho l_ij are the multipliers of the edge. l_ji = -l_ij, so both ends of an edge know them and only
     y_i (T, d) travels. This is ADMM with a copy of both outputs for each edge. After `iterations`
     rounds the robot applies its first input, measures its state, shifts its plan by one step, and
-    the next step starts from the shifted plan and multipliers.
+    the next step starts from the shifted plan and multipliers. The first step starts from z_i = the
+    outputs of the plan without neighbours, and l_ij = 0.
 
     With a feasible problem, ADMM converges for any rho to the optimum of the team, and the inputs to
     the inputs of one central controller. With few iterations the plan may exceed the reach a little:
@@ -106,7 +107,7 @@ class CoupledMPC(Iteration):
         self._plant = CheckedFunction(agent, "plant", plant or self._model)
         self._nobody = np.zeros((0, of.T, len(of.C)))
         self._l = {j: np.zeros((of.T, len(of.C))) for j in self.neighbors}
-        self._z = np.zeros((of.T, len(of.C)))
+        self._z = self._plan(PredictiveControl(of), None)
         self._solve()
 
     def message(self) -> Mat:
@@ -137,14 +138,21 @@ class CoupledMPC(Iteration):
 
     def _solve(self) -> None:
         """Plan from x, near the targets."""
-        found = self.control.solve(self.x, self._nobody, self._z)
+        self.y = self._plan(self.control, self._z)
+
+    def _plan(self, control: PredictiveControl, targets: Mat | None) -> Mat:
+        """Plan from x; return the outputs (T, d).
+
+        targets: (T, d), or None for a plan without neighbours
+        """
+        found = control.solve(self.x, self._nobody, targets)
         if isinstance(found, str):
             raise SolverError(
                 f"agent {self.i}: predictive control, round {self.k}", found
             )
         self.plan = found
-        of = self.control.of
-        self.y = np.ascontiguousarray(of.states(self.x, found)[1:-1] @ of.C.T)
+        of = control.of
+        return np.ascontiguousarray(of.states(self.x, found)[1:-1] @ of.C.T)
 
     def _advance(self) -> None:
         """Apply the first input, and shift targets and multipliers by one step."""
