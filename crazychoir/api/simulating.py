@@ -93,14 +93,7 @@ def make_team(algorithm: object, links: Graph) -> Mapping[int, Round]:
         return algorithm
     hook = _find_agent_hook(algorithm)
     hook.check()
-    team = {i: hook(i, links) for i in links.ids}
-    for i, one in team.items():
-        if not isinstance(one, Round):
-            missing = ", ".join(
-                name for name in ("message", "step", "done") if not hasattr(one, name)
-            )
-            raise hook.wrong(f"{type(one).__name__} for agent {i}, without {missing}")
-    return team
+    return {i: hook.make_agent(i, links) for i in links.ids}
 
 
 def _find_agent_hook(algorithm: object) -> Hook:

@@ -19,6 +19,7 @@ from crazychoir.errors import (
     refuse_exit,
 )
 from crazychoir.runtime.user_code_guard import USER_CODE_TIMES, limit_duration
+from crazychoir.team.round import Round
 
 README_ADVICE = 'See "Write your own mission" in agents/README.md.'
 """Advice for the user: the chapter about missions."""
@@ -84,6 +85,18 @@ class Hook:
         except Exception as error:
             found = error_text(error)
             raise self.wrong(found, self._line(error)) from error
+
+    def make_agent(self, i: int, *values: Any) -> Round:
+        """Call the function with (i, *values), and return agent i of an algorithm.
+
+        Raises ConfigError as a call, and if the result is no agent.
+        """
+        agent = self(i, *values)
+        if not isinstance(agent, Round):
+            parts = ("message", "step", "done")
+            missing = ", ".join(name for name in parts if not hasattr(agent, name))
+            raise self.wrong(f"{type(agent).__name__} for agent {i}, without {missing}")
+        return agent
 
     def wrong(self, found: str, line: str = "") -> ConfigError:
         """Return the error for a hook that fails, or returns a value that is not allowed.

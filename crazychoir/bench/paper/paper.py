@@ -1,6 +1,5 @@
 """`crazychoir bench paper`: the tables and pictures of an article on the routing, in one folder."""
 
-import csv
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -11,9 +10,8 @@ from rich.text import Text
 from crazychoir.bench import routing as bench_routing
 from crazychoir.bench.paper import ablation as bench_ablation
 from crazychoir.bench.paper import pictures as bench_pictures
+from crazychoir.bench.paper.csv_files import write_csv
 from crazychoir.files.output_files import output_file, require_writable_folder
-
-Rows = list[dict[str, Any]]
 
 
 def run(
@@ -63,19 +61,6 @@ def _write_solvers(folder: Path, quick: bool, say: Callable[[str], None]) -> lis
         )
     )
     return files + bench_pictures.draw_routing(found["rows"], folder)
-
-
-def write_csv(path: Path, rows: Rows) -> Path:
-    """Write the rows as a table with a header that has the keys of all rows."""
-    names = list(dict.fromkeys(name for row in rows for name in row))
-    with (
-        output_file(path, "--out") as place,
-        place.open("w", newline="", encoding="utf-8") as file,
-    ):
-        writer = csv.DictWriter(file, names)
-        writer.writeheader()
-        writer.writerows(rows)
-    return path
 
 
 def flatten_row(row: dict[str, Any]) -> dict[str, Any]:

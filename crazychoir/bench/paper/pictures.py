@@ -88,7 +88,7 @@ def _draw_loss(figure: "Figure", rows: Rows) -> None:
         for line, quantity in enumerate(quantities):
             for graph in _names_in_rows(ABLATION_GRAPHS, here, "graph"):
                 _line(axes[line, column], here, ("graph", graph), loss, quantity)
-            _logarithmic(axes[line, column])
+            use_plain_log_ticks(axes[line, column])
             if column == 0:
                 axes[line, column].set_ylabel(quantity.label)
     _legend(figure, axes[0, 0])
@@ -107,7 +107,7 @@ def _draw_size(figure: "Figure", rows: Rows) -> None:
         for graph in _names_in_rows(ABLATION_GRAPHS, rows, "graph"):
             _line(panel, rows, ("graph", graph), robots, quantity)
         panel.set(ylabel=quantity.label, xscale="log")
-        _logarithmic(panel)
+        use_plain_log_ticks(panel)
     sizes = sorted({row["robots"] for row in rows})
     axes[-1].set_xticks(sizes, [str(n) for n in sizes])
     axes[-1].minorticks_off()
@@ -134,7 +134,7 @@ def _draw_method(figure: "Figure", rows: Rows) -> None:
         _line(axes[1], rows, ("method", method), robots, sent)
     axes[0].set_ylabel(excess.label)
     axes[1].set(ylabel=sent.label, xlabel=robots.label)
-    _logarithmic(axes[1])
+    use_plain_log_ticks(axes[1])
     axes[1].set_xticks(sorted(best))
     _legend(figure, axes[0], columns=2)
 
@@ -173,7 +173,7 @@ def _draw_anytime(figure: "Figure", rows: Rows) -> None:
         axes.set_title(
             f"{rows[0]['robots']} robots, {rows[0]['tasks']} tasks", fontsize=8
         )
-        _logarithmic(axes, "x")
+        use_plain_log_ticks(axes, "x")
     axes.set(xlabel="time [s]", ylabel="cost [m]")
     _legend(figure, axes)
 
@@ -271,7 +271,7 @@ def _line(
         )
 
 
-def _logarithmic(axes: "Axes", which: str = "y") -> None:
+def use_plain_log_ticks(axes: "Axes", which: str = "y") -> None:
     """Set a logarithmic scale of x or y with ticks at 1, 2, 5, 10, ... in plain numbers."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 

@@ -305,6 +305,78 @@ def optimization(as_json: JsonOption = False, quick: QuickOption = False) -> Non
 
 
 @app.command()
+def algorithms(
+    names: Annotated[
+        str | None,
+        typer.Option(
+            "--algorithms",
+            help="Algorithms with commas, as extra,admm,my.py:MyAlgorithm. Without it: nine of them.",
+        ),
+    ] = None,
+    problem: Annotated[
+        Literal["least-squares", "logistic"],
+        typer.Option(help="Random problem that the team shares."),
+    ] = "least-squares",
+    agents: Annotated[
+        list[int] | None,
+        options.whole(
+            "Number of agents; several times for several. Without it: 8 and 16.",
+            least=2,
+            most=options.OPTION_LIMITS.drones,
+        ),
+    ] = None,
+    graph: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Communication graph, as k-regular:4; several times for several. "
+            "Without it: ring and complete."
+        ),
+    ] = None,
+    loss: Annotated[
+        list[float] | None,
+        options.share(
+            "Share of messages that is lost; several times for several. Without it: 0, 0.2 and 0.4."
+        ),
+    ] = None,
+    rounds: Annotated[int, options.whole("Rounds of each run.")] = 150,
+    seeds: Annotated[int, options.whole("Random problems for each case.")] = 5,
+    accuracy: Annotated[
+        float,
+        options.real("Relative error to reach.", least=1e-12, most=0.5),
+    ] = 1e-3,
+    out: Annotated[Path, typer.Option(help="Where the tables and pictures go.")] = Path(
+        "out/algorithms"
+    ),
+    as_json: JsonOption = False,
+    quick: QuickOption = False,
+) -> None:
+    """Compare distributed algorithms on random problems, with tables and pictures for a paper.
+
+    The pictures (PNG, PDF) show the error against rounds, messages and bytes, and what an
+    accuracy costs over loss, graph and size. The first of several agents, graphs and losses is the
+    base; the others vary alone.
+    """
+    from crazychoir.bench.convergence import convergence as bench_convergence
+    from crazychoir.bench.convergence.study import StudyRequest
+
+    def measure(say: Say) -> dict[str, Any]:
+        standard = bench_convergence.ComparisonChoice()
+        chosen = None
+        if names is not None:
+            chosen = tuple(name.strip() for name in names.split(",") if name.strip())
+        choice = bench_convergence.ComparisonChoice(
+            algorithms=chosen,
+            agents=tuple(agents or standard.agents),
+            graphs=tuple(graph or standard.graphs),
+            losses=tuple(loss or standard.losses),
+        )
+        request = StudyRequest(problem, rounds, seeds, accuracy)
+        return bench_convergence.run(out, request, choice, quick, say)
+
+    _show(measure, bench_convergence.table, as_json)
+
+
+@app.command()
 def paper(
     out: Annotated[Path, typer.Option(help="Where the tables and pictures go.")] = Path(
         "out/paper"

@@ -1,0 +1,1 @@
+"""Distributed algorithms side by side on random problems: error against rounds, messages and bytes."""
