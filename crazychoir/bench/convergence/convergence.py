@@ -112,7 +112,17 @@ def table(result: dict[str, Any]) -> Group:
             _format(row["last_error_median"]),
         )
     files = f"In {result['folder']}: {', '.join(result['files'])}"
-    return Group(made, Text(files))
+    return Group(made, Text("\n".join([*_describe_failures(result), files])))
+
+
+def _describe_failures(result: dict[str, Any]) -> list[str]:
+    """Return a line for each algorithm and case with runs that failed."""
+    return [
+        f"{result['labels'][row['algorithm']]}: {row['failed']} of {row['seeds']} runs failed: "
+        f"{_describe_case(row)}"
+        for row in result["rows"]
+        if row["failed"]
+    ]
 
 
 def _describe_case(row: dict[str, Any]) -> str:

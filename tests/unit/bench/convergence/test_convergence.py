@@ -132,7 +132,12 @@ def test_tables_and_pictures_show_all_algorithms_also_a_users_own(own, monkeypat
     assert float(lossy[sent]) > 1.2 * float(calm[sent])
     assert float(calm["last_error_median"]) < 1e-3
     assert float(rows[1]["last_error_median"]) > float(calm["last_error_median"])
-    assert bench_convergence.table(result).renderables[0].row_count == 2
+    table, below = bench_convergence.table(result).renderables
+    assert table.row_count == 2
+    assert "failed" not in below.plain
+    result["rows"][2]["failed"] = 1
+    _, below = bench_convergence.table(result).renderables
+    assert "EXTRA: 1 of 2 runs failed: 3 agents, path, 40% lost" in below.plain
 
 
 @pytest.mark.parametrize(
