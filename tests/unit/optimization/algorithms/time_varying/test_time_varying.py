@@ -205,21 +205,21 @@ def test_few_iterations_stay_near_it_and_no_coupling_leaves_it():
     assert far.max() > 0.1
 
 
-def test_neighbours_within_reach_change_no_input_from_the_first_round_on():
-    """Also far from the origin, where the targets of a plan may not start from 0."""
+def test_neighbours_within_reach_do_not_change_the_first_input():
+    """The targets of the first plans are the plans without neighbours, and not the origin."""
     coupling = OutputCoupling(1000.0, 100.0, iterations=1)
 
     def make(i, neighbors):
-        return CoupledMPC(i, [50.0 + i, 0.0], neighbors, robot(100.0), coupling, STEPS)
+        return CoupledMPC(
+            i, [1.0 + 0.1 * i, 0.0], neighbors, robot(9.0), coupling, STEPS
+        )
 
     team = {i: make(i, LINE.neighbors(i)) for i in range(3)}
     alone = {i: make(i, ()) for i in range(3)}
-    for _ in range(STEPS):
-        run_in_step(team, LINE, 1)
-        for agent in alone.values():
-            agent.step({})
-        for i in range(3):
-            assert team[i].u == pytest.approx(alone[i].u, abs=1e-6)
+    run_in_step(team, LINE, 1)
+    for i in range(3):
+        alone[i].step({})
+        assert team[i].u == pytest.approx(alone[i].u, abs=1e-6)
 
 
 def test_the_plant_may_differ_from_the_model():
