@@ -9,6 +9,7 @@ from system.flights import fly
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
+from crazychoir.planning.minimum_snap import minimum_snap
 from crazychoir.types import FullState
 
 pytestmark = pytest.mark.system
@@ -102,6 +103,11 @@ class Mission:
 def crossing(by, pattern, seed, method="cells", senders=("xyz",) * N):
     """The flights of a crossing."""
     starts, goals = places(pattern, seed, len(senders))
+    return fly_across(by, starts, goals, seed, method, senders)
+
+
+def fly_across(by, starts, goals, seed, method="cells", senders=("xyz",) * N):
+    """Return the flights from starts to goals, (n, 3) m each."""
     drones = [
         {
             "id": k,
@@ -170,3 +176,28 @@ def test_both_kinds_of_drones_respect_each_other(seed):
             senders=("fpqr", "xyz", "fpqr", "xyz", "vel", "xyz"),
         )
     )
+
+
+class FollowsLine(CFGuidance):
+    """Up, along a trajectory of its own from its start to its goal, down."""
+
+    def __init__(self, start, goal):
+        self.start = start
+        self.goal = goal
+
+    async def mission(self):
+        await self.take_off(float(self.start[2]))
+        await self.rendezvous()
+        begins = self.member.clock.now()
+        await self.fly(minimum_snap([self.start, self.goal], [0.0, 5.0]))
+        arrived = self.member.clock.now() - begins
+        await self.rendezvous("there")
+        await self.land()
+        return {"success": True, "arrived": arrived}
+
+
+def test_drones_that_meet_on_their_trajectories_keep_clear_of_each_other():
+    ends = np.array([[-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
+    flights = fly_across(FollowsLine, ends, ends[::-1], 0, senders=("xyz", "xyz"))
+    assert nearest(flights) >= CLEAR
+    assert arrived(flights) <= 12.0

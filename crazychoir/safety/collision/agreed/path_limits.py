@@ -60,6 +60,8 @@ class PathTolerances:
     """
     on_reference: float = 0.03
     """Distance in m from the wanted reference within which the drone is on it."""
+    same_speed: float = 0.1
+    """Difference in m/s of their velocities, within which a drone on the wanted reference flies it."""
     off_reference: float = 0.05
     """Distance in m from the wanted reference that needs a flight of its own to catch up."""
     same_end: float = 1e-3

@@ -92,6 +92,7 @@ class PlannedFlights:
             GOLDEN_SECTION * port.address % 1.0
         )
         self._kept = False
+        self._is_in_step = False
 
     def fly(
         self,
@@ -135,7 +136,11 @@ class PlannedFlights:
         self._flew = now
         flown = compute_motion(mine.way, now - mine.began)
         self._kept = math.dist(flown[0:3], wanted.p) < PATH_TOLERANCES.on_reference
-        return wanted if self._kept else _build_reference(flown, wanted.yaw)
+        # The path of a drone that brakes may still be on a reference that goes on at full speed.
+        self._is_in_step = self._kept and (
+            math.dist(flown[3:6], wanted.v) < PATH_TOLERANCES.same_speed
+        )
+        return wanted if self._is_in_step else _build_reference(flown, wanted.yaw)
 
     def hears(self, state: State, now: float) -> bool:
         """Return whether the drone sees itself and can ask all drones that it must ask.
@@ -148,6 +153,7 @@ class PlannedFlights:
         """Note that the drone is on the ground."""
         self.agreement.rest(now)
         self._kept = True
+        self._is_in_step = True
 
     @property
     def unanswered(self) -> bool:
@@ -167,12 +173,13 @@ class PlannedFlights:
         self.agreement.tell(now)
         self._flew = now
         self._kept = True
+        self._is_in_step = True
         return wanted
 
     def departure(self, yaw: float, now: float) -> FullState | None:
-        """Return where the drone should be now, if it is not on the wanted reference; else None."""
+        """Return where the drone should be now, if it does not fly the wanted reference; else None."""
         if (
-            self._kept
+            self._is_in_step
             or len(self.agreement.way) == 0
             or now - self._flew > PLANNING_TIMES.flight_break
         ):

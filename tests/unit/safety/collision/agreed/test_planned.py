@@ -14,6 +14,7 @@ from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.tables import CollisionTable
 from crazychoir.flight.references import extrapolate_reference
 from crazychoir.planning.figure import circle
+from crazychoir.planning.minimum_snap import minimum_snap
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
 from crazychoir.safety.airspace.neighbours import Neighbours
@@ -631,3 +632,26 @@ async def test_drones_side_by_side_on_equal_fast_paths_do_not_delay_each_other(c
     drones = side_by_side(clock, 0.6)
     await fly(clock, drones, drones[0].path.duration)
     assert [drone.delays for drone in drones] == [0] * 6
+
+
+@virtual
+async def test_a_drone_that_brakes_on_its_trajectory_is_not_sent_on_at_full_speed(
+    clock,
+):
+    bus = Bus(clock)
+    for i in (0, 1):
+        bus.port(i)
+    airspace = Airspace(bus, [0, 1], AirspaceRules(CollisionTable(), 1.0, 0.0, (0, 1)))
+    drones = [
+        Follower(airspace, i, [0, 1], minimum_snap(ends, [0.0, 5.0]))
+        for i, ends in enumerate(([A, B], [B, A]))
+    ]
+    speeds = [[], []]
+    for _ in range(400):
+        await fly(clock, drones, TICK)
+        for drone, seen in zip(drones, speeds, strict=True):
+            seen.append(drone.v)
+    # At most 0.1 m/s from the reference to the path that brakes, beside the change in a tick.
+    for seen in speeds:
+        jumps = np.linalg.norm(np.diff(seen, axis=0), axis=1)
+        assert jumps.max() < 0.1 + 2.0 * TICK
