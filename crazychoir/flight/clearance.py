@@ -38,6 +38,12 @@ class ClearanceTimes(NamedTuple):
 
     first_time_gap: float = 0.5
     """Seconds without giving way after which the wait for another drone counts from 0 again."""
+    reference_wait: float = 2.0
+    """Seconds for which a trajectory waits for a drone that others delay.
+
+    Then the trajectory goes on without the drone, and the drone goes round the others until it is back.
+    Otherwise drones that wait on their trajectories, each for another one, would wait in vain.
+    """
     standing_drone_wait: float = 3.0
     """Seconds for which a drone on the floor may keep a landing drone in the air.
 
@@ -48,6 +54,8 @@ class ClearanceTimes(NamedTuple):
 
     Then the landing drone lands beside it.
     """
+    reference_end: float = 0.5
+    """Seconds before the end of a trajectory within which it waits for its drone like a goal."""
     answer_report: float = 1.0
     """Seconds without an answer before this is reported."""
     answer_timeout: float = 5.0
@@ -91,6 +99,8 @@ class Clearance:
             row.drone["listener"] = self.traffic.listener
         # Time in s since when others keep it up, or when it last chose another place to land.
         self._kept_up = -math.inf
+        # Seconds for which the trajectory has waited since the drone was last on it.
+        self._reference_waited = 0.0
 
     @property
     def is_aside(self) -> bool:
@@ -166,16 +176,23 @@ class Clearance:
         flights = self.flights
         plan = flights.plan
         whole = flights.remaining(now) if isinstance(plan, PointToPoint) else 0.0
-        waits = flights.waited < FLIGHT_PATIENCE.longest_wait
+        waits = flights.waited < FLIGHT_PATIENCE.longest_wait and (
+            isinstance(plan, PointToPoint)
+            or self._reference_waited < CLEARANCE_TIMES.reference_wait
+            or flights.remaining(now) < CLEARANCE_TIMES.reference_end
+        )
         future: FutureReference = lambda later: flights.sample(now + later) or wanted  # noqa: E731
         flown = self.agreed(state, wanted, future, whole, now, lands, waits)
-        if planned.delayed:
+        if not planned.delayed:
+            self._reference_waited = 0.0
+        elif waits:
             arrives = isinstance(plan, PointToPoint) and planned.agreement.comes_to(
                 plan.goal
             )
             flights.wait(
                 planned.agreement.left(now) - whole if arrives else self.period
             )
+            self._reference_waited += self.period
         return flown
 
     def agreed(
