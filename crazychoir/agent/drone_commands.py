@@ -45,6 +45,7 @@ class DroneCommands:
             **{verb: partial(self._order, verb) for verb in orders.verbs},
             "go-to": steering.go_to,
             STREAMED_COMMAND: steering.move,
+            "load": steering.load,
             "fly": steering.fly,
             "impair": self._impair,
             "param_set": self._set_parameter,

@@ -16,5 +16,7 @@ ORDER_TIMEOUTS = {
 
 A flight along a trajectory gets this time to reach the start, beside the duration of the trajectory.
 """
+LOAD_TIMEOUT = 40.0
+"""Seconds to wait until trajectories are in the memories of the drones of a dongle."""
 LONGEST_VELOCITY = 10.0
 """s: longest `duration` of a velocity. A drone flies no longer for a script that has ended."""

@@ -38,6 +38,8 @@ FIRMWARE_DEADLINE = 4.5
 """s: longest time for an answer of a drone's firmware."""
 UPLOAD_DEADLINE = 30.0
 """s: longest time for the upload of a trajectory: 171 packets."""
+LOADED_AGE = 60.0
+"""s after `load` within which its trajectory is not uploaded again."""
 
 
 def require_firmware(drone: Drone) -> RemoteLink:
@@ -56,6 +58,8 @@ class Steering:
     def __init__(self, drone: Drone) -> None:
         self.drone = drone
         self._count = 0
+        self._loaded: Piecewise | None = None
+        self._loaded_at = 0.0
 
     async def go_to(self, arguments: dict[str, Any]) -> str:
         """Fly to the OperatorGoal in the arguments, and return when the drone is there.
@@ -100,6 +104,18 @@ class Steering:
         pilot.hover(commanded=True)
         return "flown"
 
+    async def load(self, arguments: dict[str, Any]) -> str:
+        """Upload the path in the arguments of a `fly` that follows, without moving the drone.
+
+        Several drones that are loaded one after another can then begin together.
+        Raises Refused with the reason if the path is not uploaded.
+        """
+        path, _ = convert_path(arguments)
+        await self._upload(path)
+        self._loaded = path
+        self._loaded_at = self.drone.pilot.clock.now()
+        return "loaded"
+
     async def fly(self, arguments: dict[str, Any]) -> str:
         """Go to the start of the path in the arguments, and fly the path.
 
@@ -124,7 +140,7 @@ class Steering:
         pilot.permission.may_fly(
             by_operator=True
         )  # from here on, a hold ends the flight
-        if on_board is not None:
+        if on_board is not None and not self._take_loaded(path):
             await self._upload(path)
             self._require_turn(turn)
         start = flown.sample(0.0)
@@ -170,6 +186,17 @@ class Steering:
             await self._look(turn)
             left = pilot.remaining()
         return t
+
+    def _take_loaded(self, path: Piecewise) -> bool:
+        """Return whether `load` has just uploaded this path; it does so for one flight only."""
+        loaded = self._loaded
+        self._loaded = None
+        return (
+            loaded is not None
+            and self.drone.pilot.clock.now() < self._loaded_at + LOADED_AGE
+            and np.array_equal(loaded.durations, path.durations)
+            and np.array_equal(loaded.coefficients, path.coefficients)
+        )
 
     async def _upload(self, path: Piecewise) -> None:
         """Upload the path into the memory of the drone. Raises Refused with the reason."""

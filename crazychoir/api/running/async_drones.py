@@ -9,7 +9,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from crazychoir.agent.command_arguments import path_message
-from crazychoir.agent.order_times import ORDER_TIMEOUTS
+from crazychoir.agent.order_times import LOAD_TIMEOUT, ORDER_TIMEOUTS
 from crazychoir.api.running.receipts import OrderFailed, OrderReceipt
 from crazychoir.api.running.state_log import StateLog
 from crazychoir.bus.topics import DRONE_TOPICS
@@ -273,7 +273,8 @@ class AsyncDrones:
         timescale: factor on its duration; 2 is half the speed
         reverse: whether to fly from its end to its start
         relative: whether it starts at the present set-point of each drone; else at its own places
-        on_board: whether each drone flies it from its own memory, where it has a firmware
+        on_board: whether each drone flies it from its own memory, where it has a firmware;
+            they begin when all have it
         """
         path = (
             trajectory if isinstance(trajectory, Piecewise) else read_pieces(trajectory)
@@ -285,6 +286,9 @@ class AsyncDrones:
             relative=relative,
             on_board={} if on_board else None,
         )
+        if on_board:
+            everyone = dict.fromkeys(self.ids, told)
+            await self._orders.give("load", everyone, LOAD_TIMEOUT, wait=True)
         await self._give("fly", told, timescale * path.duration, wait)
 
     async def hold(self) -> None:

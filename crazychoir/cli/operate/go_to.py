@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.agent.order_times import ORDER_TIMEOUTS
+from crazychoir.agent.order_times import LOAD_TIMEOUT, ORDER_TIMEOUTS
 from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_operator
 from crazychoir.cli.operate.orders import (
     DurationOption,
@@ -161,6 +161,10 @@ def fly(
         ERROR_CONSOLE.print(
             f"{plan.path.duration:.1f} s, at most {plan.speed:.2f} m/s, {plan.acceleration:.2f} m/s2"
         )
+        if on_board:
+            loaded = await window.command("load", told, LOAD_TIMEOUT)
+            if not all(is_done for is_done, _ in loaded.values()):
+                return loaded
         return await window.command("fly", told, spent)
 
     print_answers(run_as_operator(swarm, work, as_json), as_json)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from operators import play_scene
 
+from crazychoir.agent import steering
 from crazychoir.agent.dead_man import ConsoleReporter
 from crazychoir.agents import operator as mission
 from crazychoir.api.connecting import connect_async
@@ -85,6 +86,43 @@ def test_flight_on_board_is_refused_by_a_drone_without_firmware():
         await swarm.take_off()
         with pytest.raises(OrderFailed, match="it has no firmware here"):
             await swarm.follow(minimum_snap([[0, 0, 0], [0.4, 0.3, 0]]), on_board=True)
+        await swarm.land()
+
+    fly(scene)
+
+
+class Firmware:
+    """The firmware of a drone that takes an upload after some seconds, and notes when it begins a path."""
+
+    def __init__(self, clock, upload_time):
+        self.clock = clock
+        self.upload_time = upload_time
+        self.uploads = 0
+        self.starts = []
+
+    async def request(self, verb, deadline, **arguments):
+        if verb == "trajectory_upload":
+            self.uploads += 1
+            await self.clock.sleep(self.upload_time)
+        else:
+            self.starts.append(self.clock.now())
+        return ""
+
+
+def test_drones_begin_a_trajectory_on_board_when_all_have_it_in_memory(monkeypatch):
+    step = minimum_snap([[0, 0, 0], [0.0, 0.3, 0]])
+
+    async def scene(swarm, operator):
+        made = {i: Firmware(operator.clock, 4.0 * i) for i in (0, 1)}
+        monkeypatch.setattr(steering, "require_firmware", lambda drone: made[drone.id])
+        await swarm.take_off()
+        for _ in range(2):
+            await swarm.follow(step, on_board=True)
+        assert [firmware.uploads for firmware in made.values()] == [2, 2]
+        for starts in zip(
+            *(firmware.starts for firmware in made.values()), strict=True
+        ):
+            assert abs(np.subtract(*starts)) < 0.2
         await swarm.land()
 
     fly(scene)

@@ -10,6 +10,8 @@ from crazychoir.cli.operate import go_to, inspect, orders
 from crazychoir.cli.operate.orders import _conclude, parse_drones
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.launch.run_registry import RunRecord
+from crazychoir.planning.minimum_snap import minimum_snap
+from crazychoir.planning.trajectory_file import write_pieces
 
 
 class Window:
@@ -71,6 +73,25 @@ def test_relative_goal_is_the_same_for_each_drone(window):
     goal = {"p": [0.0, 0.0, 0.3], "yaw": None, "duration": 0.0}
     told = goal | {"relative": True, "speed": 0.2}
     assert window.told == [("go-to", {0: told, 2: told}, 120.0)]
+
+
+@pytest.mark.parametrize("is_loaded", [True, False])
+def test_flight_on_board_begins_when_all_drones_have_its_trajectory(
+    window, tmp_path, monkeypatch, is_loaded
+):
+    path = tmp_path / "path.csv"
+    write_pieces(path, minimum_snap([[0, 0, 1.0], [0.4, 0.3, 1.0]]))
+
+    async def command(verb, told, seconds):
+        window.told.append(verb)
+        answer = ("done", "") if is_loaded else ("refused", "no memory")
+        return {0: (True, ("done", "")), 1: (is_loaded, answer)}
+
+    monkeypatch.setattr(window, "command", command)
+    words = ["fly", str(path), "--drones", "0-1", "--on-board", "--relative"]
+    run = CliRunner().invoke(app, words)
+    assert (run.exit_code == 0) is is_loaded, run.output
+    assert window.told == (["load", "fly"] if is_loaded else ["load"])
 
 
 def test_operator_chooses_one_of_several_runs(monkeypatch, capsys):
