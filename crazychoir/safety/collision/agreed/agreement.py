@@ -36,6 +36,17 @@ class PlanAnnouncements:
     """s between two messages of a flying drone without news."""
     ground_repeat_interval: float = 0.2
     """s between two messages of a drone on the ground."""
+    offer_lead_time: float = 0.3
+    """Seconds before an offer begins, within which the others agree, or do not."""
+    longest_lead_time: float = 0.7
+    """The same at most, where messages are late.
+
+    With a look, it is as long as what a drone plans ahead, so that the drone need not stop meanwhile.
+    """
+    answer_time: float = 0.15
+    """Seconds of the lead time that are left beside the ways of an offer and its answer."""
+    delay_decay: float = 0.99
+    """Share of the largest delay of messages that is still expected after one more message."""
     no_offer: int = -1
     """The number that stands for no offer."""
     offers_per_incarnation: int = 2**20
@@ -122,6 +133,7 @@ class Agreement:
         self.in_vain = 0.0
         """Seconds that it has asked, or could not ask, since an offer last succeeded."""
         self._asked = 0.0
+        self._delay = 0.0
         self.lacking: int | None = None
         """Id of the drone that last failed to answer."""
         self._next = 0.0
@@ -139,6 +151,7 @@ class Agreement:
         j, plan = message
         other = self.others.get(j)
         heard = self.clock.now_ns() / NS_PER_SECOND - age
+        self._delay = max(age, PLAN_ANNOUNCEMENTS.delay_decay * self._delay)
         if other is None or heard < other.heard or not PLAN_VALIDATOR.is_sound(plan):
             return
         other.heard = heard
@@ -256,6 +269,16 @@ class Agreement:
     def asks(self) -> bool:
         """Return whether this drone must ask another one: a flying drone with a lower id."""
         return any(other.id < self.id for other in self.flying())
+
+    @property
+    def lead_time(self) -> float:
+        """Seconds before an offer begins; longer where the messages of the others are late.
+
+        It covers the delay of an offer, that of its answer, and PLAN_ANNOUNCEMENTS.answer_time.
+        """
+        times = PLAN_ANNOUNCEMENTS
+        needed = 2.0 * self._delay + times.answer_time
+        return min(times.longest_lead_time, max(times.offer_lead_time, needed))
 
     def tell(self, now: float) -> None:
         """Publish path and offer if there is news, or when it is time to repeat them."""

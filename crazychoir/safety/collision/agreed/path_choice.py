@@ -142,7 +142,7 @@ class PathChoice:
     def _choose(self, wanted: WantedFlight, now: float, threat: float) -> None:
         """Ask for the best path that is clear."""
         mine = self._agreement
-        begins = now + PLANNING_TIMES.offer_lead_time if mine.asks() else now
+        begins = now + mine.lead_time if mine.asks() else now
         start = compute_motion(mine.way, begins - mine.began)
         others = self._obstacles.all(now)
         if self._keeps_up(wanted, begins, now, others):

@@ -25,8 +25,6 @@ class PlanningTimes:
 
     check_interval: float = 0.1
     """Seconds between two looks for a better path."""
-    offer_lead_time: float = 0.3
-    """Seconds before an offer begins, within which the others agree, or do not."""
     horizons: tuple[float, ...] = (0.8, 0.6, 0.4)
     """Times in s that are planned ahead, the first that is clear, if the wanted reference has no known end.
 

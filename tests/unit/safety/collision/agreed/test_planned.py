@@ -18,7 +18,11 @@ from crazychoir.planning.minimum_snap import minimum_snap
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
 from crazychoir.safety.airspace.neighbours import Neighbours
-from crazychoir.safety.collision.agreed.agreement import NO_PATH, NO_REST_PLACE
+from crazychoir.safety.collision.agreed.agreement import (
+    NO_PATH,
+    NO_REST_PLACE,
+    PLAN_ANNOUNCEMENTS,
+)
 from crazychoir.safety.collision.agreed.obstacles import OBSTACLE_LIMITS
 from crazychoir.safety.collision.agreed.path_limits import PLANNING_TIMES, PathLimits
 from crazychoir.safety.collision.agreed.paths import (
@@ -133,6 +137,18 @@ async def test_two_that_swap_their_places_keep_their_distance(clock):
     assert [drone.at.round(3).tolist() for drone in drones] == [B.tolist(), A.tolist()]
     assert nearest(*drones) >= 0.335
     assert off_line(drones[0], A, B) + off_line(drones[1], A, B) > 0.3
+
+
+@virtual
+async def test_two_swap_their_places_although_messages_are_late_and_lost(clock):
+    late = {"delay": 0.15, "jitter": 0.1, "loss": 0.1}
+    _, drones = crowd(clock, (A,), (B,), rules=[late])
+    await fly(clock, drones, 1.0)
+    drones[0].goal = B.copy()
+    drones[1].goal = A.copy()
+    await fly(clock, drones, 15.0)
+    assert [drone.at.round(3).tolist() for drone in drones] == [B.tolist(), A.tolist()]
+    assert nearest(*drones) >= 0.335
 
 
 @virtual
@@ -257,11 +273,11 @@ async def test_an_offer_that_is_not_agreed_to_in_time_is_forgotten(clock):
     await fly(clock, drones, 0.5)
     one = drones[1].filter.agreement
     now = clock.now()
-    one.propose(plan_hold(A, 1.0), now + PLANNING_TIMES.offer_lead_time)
+    one.propose(plan_hold(A, 1.0), now + PLAN_ANNOUNCEMENTS.offer_lead_time)
     assert len(one.offer)
-    one.settle(now + 0.9 * PLANNING_TIMES.offer_lead_time)
+    one.settle(now + 0.9 * PLAN_ANNOUNCEMENTS.offer_lead_time)
     assert len(one.offer)
-    one.settle(now + PLANNING_TIMES.offer_lead_time)
+    one.settle(now + PLAN_ANNOUNCEMENTS.offer_lead_time)
     assert len(one.offer) == 0
     assert compute_end_place(one.way) == pytest.approx(B)
 
@@ -479,7 +495,7 @@ async def test_what_an_earlier_agent_was_allowed_counts_no_more_when_it_is_start
     for _ in range(20):
         mine.propose(
             plan_flight(compute_motion(mine.way, 9.0), A, 1.0, 2.0),
-            clock.now() + PLANNING_TIMES.offer_lead_time,
+            clock.now() + PLAN_ANNOUNCEMENTS.offer_lead_time,
         )
         assert mine.number != allowed
         mine.tell(clock.now())
@@ -609,12 +625,13 @@ class Follower(Flier):
         self.track.append(self.at.copy())
 
 
-def side_by_side(clock, spacing):
-    """Six drones in two rows, each on its own circle at 0.73 m/s and 0.77 m/s2."""
-    bus = Bus(clock)
-    ids = list(range(6))
+def side_by_side(clock, spacing, count=6, rules=()):
+    """Drones in rows of three, each on its own circle at 0.73 m/s and 0.77 m/s2."""
+    bus = Bus(clock, Impairment(3, [ImpairmentRule(effects) for effects in rules]))
+    ids = list(range(count))
     for i in ids:
         bus.port(i)
+    bus.impairment.begin(0.0)
     airspace = Airspace(bus, ids, AirspaceRules(CollisionTable(), 1.0, 0.0, tuple(ids)))
     return [
         Follower(
@@ -655,3 +672,10 @@ async def test_a_drone_that_brakes_on_its_trajectory_is_not_sent_on_at_full_spee
     for seen in speeds:
         jumps = np.linalg.norm(np.diff(seen, axis=0), axis=1)
         assert jumps.max() < 0.1 + 2.0 * TICK
+
+
+@virtual
+async def test_late_messages_delay_no_drone_on_a_path_of_its_own(clock):
+    drones = side_by_side(clock, 1.8, count=2, rules=[{"delay": 0.2}])
+    await fly(clock, drones, drones[0].path.duration)
+    assert [drone.delays for drone in drones] == [0, 0]
