@@ -2,6 +2,8 @@
 
 import json
 import math
+from collections.abc import Iterable
+from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -118,6 +120,28 @@ class SwarmConfig(Swarm, frozen=True, kw_only=True, dict=True):
                 f"swarm {self.name}", f"drone {i}", describe_ids(self.ids)
             )
         return drone
+
+    def find_drones(self, words: Iterable[int | str], where: str) -> list[int]:
+        """Return the ids of drones that a user names, each once.
+
+        words: ids and names
+        where: name of the option or argument, for errors
+        Raises ConfigError for an id or a name that the swarm does not have.
+        """
+        id_by_name = {drone.name: drone.id for drone in self.drones if drone.name}
+        found: dict[int, None] = {}
+        for word in words:
+            i = id_by_name.get(word) if isinstance(word, str) else word
+            if i is None:
+                names = ", ".join(id_by_name) or "no names"
+                near = get_close_matches(str(word), id_by_name, n=1)
+                advice = f"Did you mean {near[0]}?" if near else ""
+                allowed = f"{names}, or the ids {describe_ids(self.ids)}"
+                raise ConfigError(where, word, allowed, advice)
+            if i not in self.ids:
+                raise ConfigError(where, f"drone {i}", describe_ids(self.ids))
+            found[i] = None
+        return list(found)
 
     @cached_property
     def topology(self) -> Topology:

@@ -41,16 +41,17 @@ class AsyncSwarm(AsyncDrones):
         return self.window.config
 
     @overload
-    def __getitem__(self, which: int) -> AsyncDrone: ...
+    def __getitem__(self, which: int | str) -> AsyncDrone: ...
     @overload
-    def __getitem__(self, which: Sequence[int]) -> AsyncDrones: ...
-    def __getitem__(self, which: int | Sequence[int]) -> AsyncDrone | AsyncDrones:
-        """Return one drone, or several. Raises ConfigError for a drone that is not there."""
-        if isinstance(which, int):
-            self.window.check("swarm[i]", (which,))
-            return AsyncDrone(self._orders, (which,))
-        self.window.check("swarm[ids]", which)
-        return AsyncDrones(self._orders, which)
+    def __getitem__(self, which: Sequence[int | str]) -> AsyncDrones: ...
+    def __getitem__(
+        self, which: int | str | Sequence[int | str]
+    ) -> AsyncDrone | AsyncDrones:
+        """Return one drone, or several, by ids or names. Raises ConfigError for one that is not there."""
+        find = self.config.find_drones
+        if isinstance(which, int | str):
+            return AsyncDrone(self._orders, find((which,), "swarm[i]"))
+        return AsyncDrones(self._orders, find(which, "swarm[ids]"))
 
     def __iter__(self) -> Iterator[AsyncDrone]:
         return (self[i] for i in self.ids)

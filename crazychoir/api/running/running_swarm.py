@@ -41,11 +41,13 @@ class RunningSwarm(RunningDrones):
         return self._swarm.config
 
     @overload
-    def __getitem__(self, which: int) -> RunningDrone: ...
+    def __getitem__(self, which: int | str) -> RunningDrone: ...
     @overload
-    def __getitem__(self, which: Sequence[int]) -> RunningDrones: ...
-    def __getitem__(self, which: int | Sequence[int]) -> RunningDrone | RunningDrones:
-        """Return one drone, or several. Raises ConfigError for a drone that is not there."""
+    def __getitem__(self, which: Sequence[int | str]) -> RunningDrones: ...
+    def __getitem__(
+        self, which: int | str | Sequence[int | str]
+    ) -> RunningDrone | RunningDrones:
+        """Return one drone, or several, by ids or names. Raises ConfigError for one that is not there."""
         found = self._swarm[which]
         if isinstance(found, AsyncDrone):
             return RunningDrone(self.thread, found)

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from crazychoir.cli.fly.process_command import begin_process
+from crazychoir.cli.shared.drone_choice import parse_choice
 from crazychoir.errors import CrazyChoirError, refuse_exit
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
@@ -27,8 +28,11 @@ app = typer.Typer(add_completion=False)
 @app.command()
 def agent(
     ids: Annotated[
-        list[int],
-        options.drone("Drone to fly; several times for several drones.", "--id"),
+        list[str],
+        typer.Option(
+            "--id",
+            help="Drone to fly, by its id or name; several times for several drones.",
+        ),
     ],
     swarm: Annotated[
         str | None,
@@ -75,7 +79,8 @@ def agent(
         with redirect_prints(), refuse_exit("the mission"):
             with KERNEL_QUEUE.checks_first():
                 config, which = configured_swarm(swarm, mission, loss, seed)
-                members = tuple(sorted({config.drone(i).id: None for i in ids}))
+                chosen = parse_choice(",".join(ids), "--id").find(config)
+                members = tuple(sorted(chosen))
                 flown = load_mission(str(config.mission))
                 # `run` has checked the swarm of its child processes.
                 warned = (
@@ -84,7 +89,7 @@ def agent(
             KERNEL_QUEUE.compile()
             if not as_json and child is None:
                 ERROR_CONSOLE.print(
-                    f"swarm {config.name} ({which}), mission {config.mission}, drone(s) {ids}"
+                    f"swarm {config.name} ({which}), mission {config.mission}, drone(s) {list(members)}"
                 )
             for text in warned:
                 log.warning("%s", text)

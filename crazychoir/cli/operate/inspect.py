@@ -12,6 +12,7 @@ from rich import box
 from rich.console import Group
 from rich.table import Table
 
+from crazychoir.cli.shared.drone_choice import DroneChoice, parse_one_drone
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.launch import number_options as options
@@ -121,9 +122,19 @@ def topics(as_json: JsonOption = False) -> None:
     ANSWER_CONSOLE.print(table)
 
 
+def parse_drone(text: str | None) -> DroneChoice | None:
+    """Return the drone of --drone; end the command if the text has another form."""
+    try:
+        return parse_one_drone(text, "--drone")
+    except ConfigError as error:
+        exit_with_error(error, False)
+
+
 def echo(
     topic: Annotated[str, typer.Argument(help="Topic, see `crazychoir topics`.")],
-    drone: Annotated[int | None, options.drone("Only this drone.")] = None,
+    drone: Annotated[
+        str | None, typer.Option(help="Only this drone, by its id or name.")
+    ] = None,
     swarm: SwarmOption = None,
     seconds: SecondsOption = 3600.0,
     rate: Annotated[
@@ -138,11 +149,13 @@ def echo(
 ) -> None:
     """Print the values of a topic, one JSON object a line."""
     chosen = _topic(topic)
+    choice = parse_drone(drone)
     # End quietly, as other programs do, when the reader of a pipe has ended.
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)
 
     async def work(window: "Window") -> None:
-        for i in await window.find() if drone is None else [drone]:
+        there = await window.find()
+        for i in there if choice is None else choice.find(window.config):
             window.read(chosen, i, partial(_print_value, i), rate)
         await window.clock.sleep(seconds)
 
@@ -236,7 +249,9 @@ def impair(
     edge: Annotated[
         str | None, typer.Option(help="Only between these two drones, as 1,2.")
     ] = None,
-    drone: Annotated[int | None, options.drone("Only at this drone.")] = None,
+    drone: Annotated[
+        str | None, typer.Option(help="Only at this drone, by its id or name.")
+    ] = None,
     clear: Annotated[bool, typer.Option(help="Remove all changes first.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -262,8 +277,7 @@ def impair(
             ConfigError("--burst", found, "1 or more, with a --loss between 0 and 1"),
             as_json,
         )
-    scope = {"edge": pair, "drone": drone, "clear": clear or None}
-    given = {key: value for key, value in scope.items() if value is not None}
+    choice = parse_drone(drone)
 
     async def work(window: "Window") -> "Answers":
         from crazychoir.config.network import impairment_changes
@@ -271,7 +285,9 @@ def impair(
 
         await window.find()
         window.check("--edge", pair or ())
-        window.check("--drone", () if drone is None else (drone,))
+        one = None if choice is None else choice.find(window.config)[0]
+        scope = {"edge": pair, "drone": one, "clear": clear or None}
+        given = {key: value for key, value in scope.items() if value is not None}
         arguments: dict[str, Any] = {
             **given,
             **impairment_changes(LinkTable(**effects)),

@@ -7,7 +7,12 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_operator
+from crazychoir.cli.operate.inspect import (
+    JsonOption,
+    SwarmOption,
+    parse_drone,
+    run_as_operator,
+)
 from crazychoir.errors import ConfigError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
@@ -28,7 +33,9 @@ FirmwareOption = Annotated[
         help="Parameters of the drone's firmware, as ring.effect, also in flight.",
     ),
 ]
-DroneOption = Annotated[int | None, options.drone("Only this drone.")]
+DroneOption = Annotated[
+    str | None, typer.Option("--drone", help="Only this drone, by its id or name.")
+]
 
 
 @app.command(name="get")
@@ -74,13 +81,13 @@ def change(
 
 
 def _ask_drones(
-    swarm: str | None, drone: int | None, verb: str, as_json: bool, **arguments: Any
+    swarm: str | None, text: str | None, verb: str, as_json: bool, **arguments: Any
 ) -> "Answers":
+    choice = parse_drone(text)
+
     async def work(window: "Window") -> "Answers":
-        window.check("--drone", () if drone is None else (drone,))
-        return await window.request(
-            verb, None if drone is None else (drone,), **arguments
-        )
+        chosen = None if choice is None else choice.find(window.config)
+        return await window.request(verb, chosen, **arguments)
 
     answers: Answers = run_as_operator(swarm, work, as_json)
     return answers

@@ -5,7 +5,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from crazychoir.cli.operate.inspect import JsonOption, SwarmOption, run_as_operator
+from crazychoir.cli.operate.inspect import (
+    JsonOption,
+    SwarmOption,
+    parse_drone,
+    run_as_operator,
+)
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError, Refused
 from crazychoir.launch import number_options as options
@@ -40,9 +45,10 @@ TASK_TEXTS = TaskTexts()
 
 app = typer.Typer(no_args_is_help=True, help="Add and cancel tasks in flight.")
 DroneOption = Annotated[
-    int | None,
-    options.drone(
-        "Send it to this drone; else to the first that answers. The drone tells all others."
+    str | None,
+    typer.Option(
+        "--drone",
+        help="Send it to this drone, by its id or name; else to the first that answers. The drone tells all others.",
     ),
 ]
 
@@ -89,7 +95,7 @@ def cancel(
 
 def _ask(
     swarm: str | None,
-    drone: int | None,
+    text: str | None,
     verb: str,
     as_json: bool,
     arguments: dict[str, Any],
@@ -99,9 +105,10 @@ def _ask(
     A drone that does not answer may still have added the task. Then no other drone is asked,
     because the task could exist twice.
     """
+    choice = parse_drone(text)
 
     async def work(window: "Window") -> "Answers":
-        window.check("--drone", () if drone is None else (drone,))
+        drone = None if choice is None else choice.find(window.config)[0]
         there = await _find_drones(window)
         if drone is not None and drone not in there:
             raise Refused(

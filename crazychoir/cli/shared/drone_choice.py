@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import dataclass
-from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from crazychoir.errors import ConfigError
@@ -32,22 +31,7 @@ class DroneChoice:
 
         Raises ConfigError for an id or a name that the swarm does not have.
         """
-        from crazychoir.team.graph import describe_ids
-
-        id_by_name = {drone.name: drone.id for drone in config.drones if drone.name}
-        found: dict[int, None] = {}
-        for word in self.words:
-            if isinstance(word, str) and word not in id_by_name:
-                names = ", ".join(id_by_name) or "no names"
-                near = get_close_matches(word, id_by_name, n=1)
-                advice = f"Did you mean {near[0]}?" if near else ""
-                allowed = f"{names}, or the ids {describe_ids(config.ids)}"
-                raise ConfigError(self.option, word, allowed, advice)
-            i = id_by_name[word] if isinstance(word, str) else word
-            if i not in config.ids:
-                raise ConfigError(self.option, f"drone {i}", describe_ids(config.ids))
-            found[i] = None
-        return list(found)
+        return config.find_drones(self.words, self.option)
 
 
 def parse_choice(text: str, option: str) -> DroneChoice:
@@ -71,3 +55,16 @@ def parse_choice(text: str, option: str) -> DroneChoice:
             parse_spans(text, option, CHOICE_FORM)  # its error shows the whole text
             raise
     return DroneChoice(option, tuple(dict.fromkeys(words)))
+
+
+def parse_one_drone(text: str | None, option: str) -> DroneChoice | None:
+    """Return the one drone of a text, an id or a name; None without a text.
+
+    Raises ConfigError for another form.
+    """
+    if text is None:
+        return None
+    choice = parse_choice(text, option)
+    if len(choice.words) != 1:
+        raise ConfigError(option, text, "one drone, by its id or its name")
+    return choice

@@ -5,6 +5,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from msgspec import to_builtins
+from msgspec.structs import replace
 from operators import play_scene
 
 from crazychoir.agent import steering
@@ -89,6 +91,23 @@ def test_flight_on_board_is_refused_by_a_drone_without_firmware():
         await swarm.land()
 
     fly(scene)
+
+
+def test_drones_of_a_running_swarm_are_found_by_their_names():
+    swarm = mission.swarm(2)
+    named = [replace(drone, name=f"cf{drone.id}") for drone in swarm.drones]
+    config = swarm.replace(drones=to_builtins(named))
+
+    async def scene(operator):
+        swarm = join(operator)
+        assert swarm["cf1"].ids == (1,)
+        assert swarm[["cf1", 0]].ids == (1, 0)
+        with pytest.raises(ConfigError, match=r"found cf3.*Did you mean"):
+            swarm["cf3"]
+        await swarm.take_off()
+        await swarm.land()
+
+    play_scene(SimpleNamespace(guidance=mission.guidance), scene, config)
 
 
 class Firmware:

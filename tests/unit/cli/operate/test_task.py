@@ -4,7 +4,17 @@ import pytest
 from typer.testing import CliRunner
 
 from crazychoir.cli.operate import task
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import Refused
+
+SWARM = SwarmConfig.of(
+    {
+        "name": "named",
+        "drones": [
+            {"id": i, "name": f"cf{i}", "home": [0.5 * i, 0.0, 0.0]} for i in range(4)
+        ],
+    }
+)
 
 
 @pytest.fixture
@@ -21,8 +31,7 @@ def asked(monkeypatch):
     }
 
     class Window:
-        def check(self, option, ids):
-            pass
+        config = SWARM
 
         async def find(self):
             return [0, 2, 3]
@@ -76,8 +85,9 @@ def test_a_task_that_is_done_at_a_place_needs_no_delivery(asked):
     )
 
 
-def test_a_drone_that_is_named_is_asked_alone(asked):
-    said = CliRunner().invoke(task.app, ["cancel", "7", "--drone", "0", "--json"])
+@pytest.mark.parametrize("drone", ["0", "cf0"])
+def test_a_drone_that_is_named_is_asked_alone(asked, drone):
+    said = CliRunner().invoke(task.app, ["cancel", "7", "--drone", drone, "--json"])
     assert said.exit_code == 1
     assert "the mission is over" in said.output
     assert asked == [(0, "task_cancel", {"id": 7})]

@@ -2,7 +2,7 @@
 
 import pytest
 
-from crazychoir.cli.shared.drone_choice import parse_choice
+from crazychoir.cli.shared.drone_choice import parse_choice, parse_one_drone
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 
@@ -48,3 +48,11 @@ def test_a_drone_that_is_not_there_is_refused_with_what_may_be_meant(text, said)
 def test_another_form_is_refused_before_the_swarm_is_known(text):
     with pytest.raises(ConfigError, match=r"--only.*as 3,5-7"):
         parse_choice(text, "--only")
+
+
+def test_one_drone_is_chosen_by_its_id_or_its_name():
+    assert parse_one_drone(None, "--drone") is None
+    assert parse_one_drone("5", "--drone").find(CONFIG) == [5]
+    assert parse_one_drone("cf231", "--drone").find(CONFIG) == [3]
+    with pytest.raises(ConfigError, match=r"--drone.*one drone, by its id or its name"):
+        parse_one_drone("3,5", "--drone")
