@@ -47,7 +47,10 @@ class AsyncSwarm(AsyncDrones):
     def __getitem__(
         self, which: int | str | Sequence[int | str]
     ) -> AsyncDrone | AsyncDrones:
-        """Return one drone, or several, by ids or names. Raises ConfigError for one that is not there."""
+        """Return one drone, or several, by ids or names.
+
+        Raises ConfigError for a drone that is not there.
+        """
         find = self.config.find_drones
         if isinstance(which, int | str):
             return AsyncDrone(self._orders, find((which,), "swarm[i]"))

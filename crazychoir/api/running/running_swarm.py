@@ -47,7 +47,10 @@ class RunningSwarm(RunningDrones):
     def __getitem__(
         self, which: int | str | Sequence[int | str]
     ) -> RunningDrone | RunningDrones:
-        """Return one drone, or several, by ids or names. Raises ConfigError for one that is not there."""
+        """Return one drone, or several, by ids or names.
+
+        Raises ConfigError for a drone that is not there.
+        """
         found = self._swarm[which]
         if isinstance(found, AsyncDrone):
             return RunningDrone(self.thread, found)
