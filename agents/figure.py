@@ -7,6 +7,7 @@ from typing import Any
 
 from crazychoir import CFGuidance, SwarmConfig
 from crazychoir.guidance.defaults.figures import FigureHooks, FigureOptions
+from crazychoir.guidance.timed import Way, record_way
 
 Options = FigureOptions
 hooks = FigureHooks(Options)
@@ -25,10 +26,13 @@ class Flown(CFGuidance):
         figure = hooks.figure(config, self.id)
         await self.take_off()
         await self.rendezvous()
-        await self.fly(figure)
+        await self.go_to(figure.sample(0.0).p)
+        way = Way()
+        async with record_way(self, way):
+            await self.fly(figure)
         await self.go_to((x, y, self.state.p[2]))
         await self.land()
-        return {"place": self.state.p.tolist()}
+        return {"place": self.state.p.tolist(), "way": way.rows}
 
 
 def guidance(i: int, config: SwarmConfig) -> CFGuidance:

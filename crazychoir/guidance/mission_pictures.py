@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 LEADER_COLOUR = "#D55E00"  # colour of leaders
 SEEN_WAY_COLOUR = "#909090"
+PLAN_STYLE: dict[str, Any] = {"color": "#cccccc", "linewidth": 4.0, "zorder": 1}
+"""Style of a broad band below the line of what was flown."""
 Ways = Mapping[int, Sequence[Sequence[float]]]
 
 
@@ -188,6 +190,68 @@ def draw_ways(
         _tidy_axes(axes)
     figure.legend(loc="outside upper center", ncols=6, frameon=False, fontsize=8)
     save_figure(figure, path)
+
+
+def draw_plans(
+    path: str | Path, results: Mapping[int, Mapping[str, Any]], plans: Mapping[int, Mat]
+) -> None:
+    """Write a picture from above of what was flown over what was planned, in m.
+
+    The file is a PNG, or what the suffix of `path` says.
+    path: the file to write
+    results: result["way"] has rows [t s, x, y, .. m] of what a drone flew of its plan. Without them,
+        as of a drone that has failed, result["track"] is drawn: the rows of its whole flight.
+    plans: (n, 2) m or more of each drone, drawn as a broad grey line
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5.6, 4.2), dpi=150, layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    for i, plan in plans.items():
+        axes.plot(*plan[:, :2].T, **PLAN_STYLE)
+        result = results.get(i, {})
+        known = [result[key] for key in ("way", "track") if len(result.get(key, ()))]
+        if not known:
+            continue
+        flown = np.asarray(known[0])
+        look = _way_style(i)
+        axes.plot(flown[:, 1], flown[:, 2], **look)
+        start = (flown[0, 1], flown[0, 2])
+        axes.plot(*start, "o", color=look["color"], markersize=4, zorder=4)
+        axes.annotate(
+            str(i), start, xytext=(4, 4), textcoords="offset points", fontsize=7
+        )
+    axes.set_aspect("equal")
+    axes.margins(0.08)
+    axes.set(xlabel="x [m]", ylabel="y [m]")
+    _tidy_axes(axes)
+    axes.legend(
+        handles=_make_plan_legend(),
+        loc="lower center",
+        bbox_to_anchor=(0.5, 1.0),
+        ncols=3,
+        frameon=False,
+        fontsize=8,
+    )
+    save_figure(figure, path, bbox_inches="tight")
+
+
+def _make_plan_legend() -> list[Any]:
+    from matplotlib.lines import Line2D
+
+    flown: dict[str, Any] = {"color": PICTURE_STYLE.colours[0], "linewidth": 1.3}
+    start: dict[str, Any] = {
+        "color": PICTURE_STYLE.colours[0],
+        "marker": "o",
+        "markersize": 4,
+    }
+    return [
+        Line2D([], [], label="plan", **PLAN_STYLE),
+        Line2D([], [], label="flown", **flown),
+        Line2D([], [], label="start", linestyle="", **start),
+    ]
 
 
 def draw_heights(

@@ -13,6 +13,7 @@ from crazychoir.config.tables import Height, Scale, SwarmTable, Text
 from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission_options import Offset, Yaw, given, require_none
+from crazychoir.guidance.mission_pictures import draw_plans
 from crazychoir.guidance.mission_report import Results
 from crazychoir.guidance.path_checks import require_inside
 from crazychoir.planning.drawing.drawing import Drawing, Pen, plan_drawing
@@ -208,18 +209,7 @@ class DrawingHooks:
 
     def picture(self, config: SwarmConfig, results: Results, path: str) -> None:
         """Draw the planned path (broad) and the flown path."""
-        import matplotlib.pyplot as plt  # takes 1 s and a font cache: imported only for a picture
-
-        shown, axes = plt.subplots(figsize=(7.0, 3.5))
-        for i in config.ids:
-            x, y, _ = self._places(config, i).T
-            axes.plot(x, y, color="#cccccc", linewidth=4.0)
-            if way := results.get(i, {}).get("way"):
-                axes.plot(*np.array(way)[:, 1:3].T, linewidth=1.2, label=f"drone {i}")
-        axes.set(xlabel="x in m", ylabel="y in m", aspect="equal")
-        axes.legend(fontsize=7)
-        shown.savefig(path, dpi=150, bbox_inches="tight")
-        plt.close(shown)
+        draw_plans(path, results, {i: self._places(config, i) for i in config.ids})
 
 
 def is_trajectory(file: str) -> bool:

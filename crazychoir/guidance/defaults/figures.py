@@ -17,6 +17,7 @@ from crazychoir.guidance.mission_options import (
     given,
     require_none,
 )
+from crazychoir.guidance.mission_pictures import draw_plans
 from crazychoir.guidance.mission_report import Results
 from crazychoir.guidance.path_checks import require_inside
 from crazychoir.planning import feasibility
@@ -106,17 +107,8 @@ class FigureHooks:
         return {"figure_m": float(np.sum(np.linalg.norm(steps, axis=1)))}
 
     def picture(self, config: SwarmConfig, results: Results, path: str) -> None:
-        """Draw the figures from above."""
-        import matplotlib.pyplot as plt  # takes 1 s and a font cache: imported only for a picture
-
-        shown, axes = plt.subplots(figsize=(3.5, 3.5))
-        for i in config.ids:
-            x, y, _ = self._places(config, i).T
-            axes.plot(x, y, label=f"drone {i}")
-        axes.set(xlabel="x in m", ylabel="y in m", aspect="equal")
-        axes.legend(fontsize=7)
-        shown.savefig(path, dpi=200, bbox_inches="tight")
-        plt.close(shown)
+        """Draw the planned path (broad) and the flown path."""
+        draw_plans(path, results, {i: self._places(config, i) for i in config.ids})
 
     def _places(self, config: SwarmConfig, i: int) -> Mat:
         """Return 500 places of the figure of drone i, (500, 3) m."""
