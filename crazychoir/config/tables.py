@@ -53,6 +53,15 @@ Speed = Annotated[
         gt=0, le=20, description="a speed in m/s, above 0, at most 20", examples=[1.0]
     ),
 ]
+Distance = Annotated[
+    float,
+    Meta(
+        gt=0,
+        le=100,
+        description="a distance in m, above 0, at most 100",
+        examples=[2.0],
+    ),
+]
 Acceleration = Annotated[
     float,
     Meta(
@@ -73,6 +82,9 @@ Hertz = Annotated[
     Meta(
         gt=0, le=1000, description="a rate in Hz, above 0, at most 1000", examples=[100]
     ),
+]
+ClosingRate = Annotated[
+    float, Meta(gt=0, description="a rate in 1/s, above 0", examples=[1.5])
 ]
 Probability = Annotated[
     float, Meta(ge=0, le=1, description="a probability, 0 to 1", examples=[0.1])
@@ -157,6 +169,10 @@ AngularAcceleration = Annotated[
 Unrest = Annotated[
     float,
     Meta(ge=0, le=10, description="an acceleration in m/s2, 0 to 10", examples=[0.07]),
+]
+AccelerationChange = Annotated[
+    float,
+    Meta(ge=0, le=100, description="an acceleration in m/s2, 0 to 100", examples=[2.0]),
 ]
 Tilt = Annotated[
     tuple[
@@ -809,19 +825,19 @@ class CollisionTable(SwarmTable, frozen=True, kw_only=True):
     """
     brake: Acceleration = 1.0
     """m/s2: deceleration that a drone relies on."""
-    gamma: Timeout = 4.0
+    gamma: ClosingRate = 4.0
     """1/s: rate at which the limit of the closing speed is approached."""
     turn: Factor = 1.0
     """Strength of the sideways motion of a drone with another drone in its way."""
-    range: Height = 2.0
+    range: Distance = 2.0
     """m: distance within which other drones count."""
-    unsure: Factor = 2.0
+    unsure: AccelerationChange = 2.0
     """m/s2: assumed change of acceleration of a drone that is not received."""
     lag: Seconds = 0.05
     """s: time constant with which drones obey."""
     delay: Seconds = 0.05
     """s: dead time with which drones obey."""
-    stiff: Timeout = 1.5
+    stiff: ClosingRate = 1.5
     """1/s: largest relative rate at which a gap closes."""
 
 

@@ -1,5 +1,6 @@
 """The generated parts of the README files are what the code says now."""
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -53,3 +54,22 @@ def test_commands_of_groups_and_programs_are_listed():
     ):
         assert f"\n### `crazychoir {line}`\n" in text
     assert "\n### `crazychoir-radio`\n" in text
+
+
+UNIT_OF_VALUE = re.compile(r" in ([\w/]+)")
+UNIT_OF_MEANING = re.compile(r"(?:\(\d,\) )?(m/s2|m/s|1/s|rad/s2|m|s|rad|V|Hz)[ :.,]")
+
+
+def test_the_value_of_a_key_has_the_unit_of_its_meaning():
+    """Compare the rows with one of the common units at the start of the meaning."""
+    compared = []
+    for line in swarm_file.tables().splitlines():
+        cells = line.strip("| ").split(" | ")
+        meaning = UNIT_OF_MEANING.match(cells[-1])
+        if not (line.startswith("| `") and meaning) or " per " in cells[1]:
+            continue
+        value = UNIT_OF_VALUE.search(cells[1])
+        assert value is not None, line
+        assert value[1].rstrip(",") == meaning[1], line
+        compared.append(cells[0])
+    assert len(compared) > 40
