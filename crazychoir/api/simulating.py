@@ -25,22 +25,28 @@ DEFAULT_AGENT_COUNT = 10
 class Simulation(History):
     """The history of a simulated algorithm, which a notebook shows and draws."""
 
-    def plot(self, name: str = "x") -> "Figure":
+    def plot(self, *names: str) -> "Figure":
         """Return a figure of matplotlib: the values of each agent, and their distances from the mean.
 
-        name: the recorded attribute
-        Raises ConfigError if it was not recorded, or is no array of numbers.
+        A value that is one number and never negative, such as an error, is drawn on a logarithmic axis.
+        names: recorded attributes; without any, all of them
+        Raises ConfigError if one was not recorded, or is no array of numbers.
         """
         from crazychoir.api.pictures import make_figure
-        from crazychoir.optimization.picture import CONVERGENCE_SIZE, fill_convergence
+        from crazychoir.optimization.picture import (
+            CONVERGENCE_WIDTH,
+            PANEL_HEIGHT,
+            fill_convergence,
+        )
 
-        names = list(next(iter(self.values.values())))
-        if name not in names:
-            raise ConfigError("plot", name, f"what was recorded: {', '.join(names)}")
-        figure = make_figure(*CONVERGENCE_SIZE)
-        series = {i: values[name] for i, values in self.values.items()}
-        common = self.common or name != "x"
-        fill_convergence(figure, series, name, common=common)
+        recorded = list(next(iter(self.values.values())))
+        chosen = names or tuple(recorded)
+        for name in chosen or ("x",):
+            if name not in recorded:
+                allowed = f"what was recorded: {', '.join(recorded)}"
+                raise ConfigError("plot", name, allowed)
+        figure = make_figure(CONVERGENCE_WIDTH, PANEL_HEIGHT)
+        fill_convergence(figure, self.by_name(chosen), common=self.common)
         return figure
 
 

@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -75,6 +76,20 @@ class History:
         if len({len(cpu) for cpu in steps}) == 1:
             return float(sum(np.max(steps, axis=0).tolist()))
         return float(max(map(sum, steps)))
+
+    def __repr__(self) -> str:
+        names = ", ".join(next(iter(self.values.values()), {})) or "nothing"
+        return (
+            f"<{type(self).__name__} of {len(self.values)} agents: {self.rounds} rounds, "
+            f"{self.messages} messages, recorded: {names}>"
+        )
+
+    def by_name(self, names: Sequence[str]) -> dict[str, dict[int, Any]]:
+        """Return the series of these recorded values, {name: {agent: series}}."""
+        return {
+            name: {i: values[name] for i, values in self.values.items()}
+            for name in names
+        }
 
     def of(self, name: str = "x") -> Any:
         """Return the values of synchronous agents (N, K+1, ...), by increasing id."""

@@ -1,7 +1,8 @@
 """Draw how a team converges, as a picture for a page or a paper."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,64 +44,82 @@ class PictureStyle:
 PICTURE_STYLE = PictureStyle()
 
 
-CONVERGENCE_SIZE = (6.4, 5.2)
-"""Width and height of the picture, in inches."""
+CONVERGENCE_WIDTH = 6.4
+"""Width of the picture, in inches."""
+PANEL_HEIGHT = 2.6
+"""Height of a panel, in inches."""
 MOST_DRAWN_ENTRIES = 4
-"""Number of entries of x that are drawn."""
+"""Number of entries of a value that are drawn."""
+
+Recorded = Mapping[str, Mapping[int, Any]]
+"""{name: {agent: (K+1, ...)}}, the series of the agents by the name of the value."""
 
 
 def draw_convergence(
-    series: Mapping[int, Any],
+    recorded: Recorded,
     path: str | Path,
-    name: str,
     title: str = "",
     times: Mapping[int, Vec] | None = None,
     common: bool = True,
 ) -> None:
     """Write a picture of the convergence; the suffix of `path` decides the format, such as PNG.
 
-    The upper part shows the entries of x of each agent. The lower part shows, on a logarithmic
-    axis, the distance of each agent from the team's mean at the end.
+    One panel shows the entries of a value of each agent. The panel below it shows, on a logarithmic
+    axis, the distance of each agent from the team's mean at the end. A magnitude, which is one
+    number and never negative, such as an error, has one panel with a logarithmic axis. Only x has
+    both panels in each case.
 
-    series: {agent: (K+1, ...)}
+    recorded: the values to draw, in this order
     path: file to write
-    name: name of the value
     title: title of the picture
     times: {agent: (K+1,) s}, abscissa for agents that are not in step; None for rounds
-    common: True if the agents are to agree; else the lower part shows the distance of each agent
-        from its own last value
+    common: True if the agents are to agree on x; else the distance is that of each agent from its
+        own last x
+    Raises ConfigError for values that are not numbers.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=CONVERGENCE_SIZE, dpi=200, layout="constrained")
+    figure = Figure(dpi=200, layout="constrained")
     FigureCanvasAgg(figure)
-    fill_convergence(figure, series, name, title, times, common)
+    fill_convergence(figure, recorded, title, times, common)
     save_figure(figure, path, bbox_inches="tight")
 
 
 def fill_convergence(
     figure: "Figure",
-    series: Mapping[int, Any],
-    name: str,
+    recorded: Recorded,
     title: str = "",
     times: Mapping[int, Vec] | None = None,
     common: bool = True,
 ) -> None:
-    """Draw the picture of `draw_convergence` into an empty figure."""
-    x = {i: _stack_entries(i, name, values) for i, values in series.items()}
-    at = times or {i: np.arange(len(values), dtype=float) for i, values in x.items()}
-    above, below = figure.subplots(2, 1, sharex=True)
-    _draw_entries(above, x, at, name)
-    _draw_distances(below, x, at, common)
-    below.set_xlabel("time [s]" if times else "round")
-    for axes in (above, below):
+    """Draw the picture of `draw_convergence` into an empty figure, and set the size of the figure."""
+    panels: list[Callable[[Any], None]] = []
+    for name, series in recorded.items():
+        x = {i: _stack_entries(i, name, values) for i, values in series.items()}
+        at = times or {i: np.arange(len(one), dtype=float) for i, one in x.items()}
+        if name != "x" and _are_magnitudes(x):
+            panels.append(partial(_draw_magnitudes, x=x, at=at, name=name))
+            continue
+        agrees = common or name != "x"
+        panels.append(partial(_draw_entries, x=x, at=at, name=name))
+        panels.append(partial(_draw_distances, x=x, at=at, name=name, common=agrees))
+    figure.set_size_inches(CONVERGENCE_WIDTH, PANEL_HEIGHT * len(panels))
+    column = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, draw_panel in zip(column, panels, strict=True):
+        draw_panel(axes)
         axes.grid(color="#e6e6e6", linewidth=0.6)
         axes.set_axisbelow(True)
         axes.spines[["top", "right"]].set_visible(False)
+    column[-1].set_xlabel("time [s]" if times else "round")
     figure.suptitle(
         make_readable(title), color=PICTURE_STYLE.ink, fontsize=10, parse_math=False
     )
+
+
+def _are_magnitudes(x: Mapping[int, Vec]) -> bool:
+    """Return whether each value is one number, and none is negative."""
+    return all(values.shape[1] == 1 and (values >= 0).all() for values in x.values())
 
 
 def _stack_entries(i: int, name: str, values: Any) -> Vec:
@@ -135,8 +154,16 @@ def _draw_entries(
     axes.legend(frameon=False, fontsize=8, ncols=MOST_DRAWN_ENTRIES)
 
 
+def _draw_magnitudes(
+    axes: "Axes", x: Mapping[int, Vec], at: Mapping[int, Vec], name: str
+) -> None:
+    for i, values in x.items():
+        _draw_logarithm(axes, i, at[i], values[:, 0])
+    axes.set_ylabel(f"{name} of each agent")
+
+
 def _draw_distances(
-    axes: "Axes", x: Mapping[int, Vec], at: Mapping[int, Vec], common: bool
+    axes: "Axes", x: Mapping[int, Vec], at: Mapping[int, Vec], name: str, common: bool
 ) -> None:
     """Draw the distances from the mean of all last values.
 
@@ -150,14 +177,17 @@ def _draw_distances(
     )
     for i, values in x.items():
         distance = np.abs(values - (values[-1] if mean is None else mean)).max(axis=1)
-        distance[distance == 0.0] = np.nan
-        colour = PICTURE_STYLE.colours[i % len(PICTURE_STYLE.colours)]
-        axes.semilogy(
-            at[i],
-            distance,
-            color=colour,
-            linestyle=PICTURE_STYLE.dashes[i % len(PICTURE_STYLE.dashes)],
-            linewidth=0.9,
-        )
+        _draw_logarithm(axes, i, at[i], distance)
     what = "its own end" if mean is None else "the mean at the end"
-    axes.set_ylabel(f"distance from\n{what}")
+    axes.set_ylabel(f"distance of {name} from\n{what}")
+
+
+def _draw_logarithm(axes: "Axes", i: int, at: Vec, values: Vec) -> None:
+    """Draw the line of agent i on a logarithmic axis, with a gap where a value is 0."""
+    axes.semilogy(
+        at,
+        np.where(values == 0.0, np.nan, values),
+        color=PICTURE_STYLE.colours[i % len(PICTURE_STYLE.colours)],
+        linestyle=PICTURE_STYLE.dashes[i % len(PICTURE_STYLE.dashes)],
+        linewidth=0.9,
+    )

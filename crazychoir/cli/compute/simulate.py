@@ -239,10 +239,9 @@ def _draw(
 ) -> None:
     from crazychoir.optimization.picture import draw_convergence
 
-    series = {i: values[names[0]] for i, values in history.values.items()}
-    common = history.common or names[0] != "x"
+    recorded = history.by_name(names)
     draw_convergence(
-        series, path, names[0], title, history.times if awake else None, common
+        recorded, path, title, history.times if awake else None, history.common
     )
 
 

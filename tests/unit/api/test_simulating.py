@@ -94,3 +94,10 @@ def test_a_simulation_is_drawn(own):
 def test_what_is_no_algorithm_is_refused(algorithm, said):
     with pytest.raises(ConfigError, match=said):
         simulate(algorithm, "ring", 4)
+
+
+def test_a_simulation_is_shown_in_one_line(file):
+    run = simulate(file, "ring", 4)
+    assert repr(run) == (
+        "<Simulation of 4 agents: 30 rounds, 280 messages, recorded: x>"
+    )

@@ -142,7 +142,7 @@ def test_a_file_is_replaced_through_a_link_and_keeps_its_mode(tmp_path):
 
 
 def draw(path):
-    draw_convergence({0: np.zeros((3, 1)), 1: np.ones((3, 1))}, path, "x", "title")
+    draw_convergence({"x": {0: np.zeros((3, 1)), 1: np.ones((3, 1))}}, path, "title")
 
 
 def save(path):
