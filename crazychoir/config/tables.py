@@ -440,6 +440,8 @@ class CalibrationTable(SwarmTable, frozen=True, kw_only=True):
 class SharedDroneTable(SwarmTable, frozen=True, kw_only=True):
     """[defaults]: values for all [[drones]], which may have other ones."""
 
+    uri: Text = "sim://"
+    """World in which it flies, or the address at which a radio reaches it."""
     platform: Text = "paper"
     """Kind of Crazyflie."""
     yaw: Radians = 0.0
@@ -480,8 +482,6 @@ class DroneTable(SharedDroneTable, frozen=True, kw_only=True):
     """Number of the drone, unique in the swarm."""
     home: Position
     """(3,) m, world frame: place of the drone before the start."""
-    uri: Text = "sim://"
-    """World in which it flies, or the address at which a radio reaches it."""
     name: DroneName = ""
     """Name for people, unique in the swarm, and for motion capture without `body`."""
     enabled: Flag = True

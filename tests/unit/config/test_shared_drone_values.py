@@ -44,9 +44,18 @@ def test_drones_have_the_defaults_unless_they_say_otherwise():
     assert SwarmConfig.loads(config.dumps()) == config
 
 
+def test_all_drones_may_fly_in_one_world_but_not_share_an_address():
+    config = load(tables='[defaults]\nuri = "sim://motors"\n')
+    assert {drone.uri for drone in config.drones} == {"sim://motors"}
+    with pytest.raises(ConfigError, match=r"drones\[0\] has this address"):
+        load(tables='[defaults]\nuri = "udp://127.0.0.1:19850"\n')
+    with pytest.raises(ConfigError, match=r"drones\[0\].uri.* sim://motor"):
+        load(tables='[defaults]\nuri = "sim://motor"\n')
+
+
 def test_a_key_that_belongs_to_one_drone_is_no_default():
-    with pytest.raises(ConfigError, match=r"defaults.uri = .*: there is no such key"):
-        load(tables='[defaults]\nuri = "sim://motors"\n')
+    with pytest.raises(ConfigError, match=r"defaults.name = .*: there is no such key"):
+        load(tables='[defaults]\nname = "cf2"\n')
     with pytest.raises(ConfigError, match=r"a.toml: defaults.platform: found 3"):
         load(tables="[defaults]\nplatform = 3\n")
 
