@@ -2,7 +2,7 @@
 
 import fcntl
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import IO, Any, Self
 
@@ -19,19 +19,21 @@ class SweepFile:
 
     While the sweep flies, rows are added in the order in which the runs end. At its end they are
     written in the order of the sweep: the file is the same however often the sweep was interrupted.
+    Rows with other inputs, such as more seeds, stay in the file, below those of the sweep.
 
     path: the file
-    keys: key of each run, in the order of the sweep; equal keys mean equal rows
+    runs: {key: inputs} of each run, in the order of the sweep; equal keys mean equal rows
 
     Attributes:
-    rows: {key: row} of the runs that have ended
+    rows: {key: row} of the runs of this sweep that have ended
     Raises ConfigError if the file has runs of another sweep, or another sweep writes it now.
     """
 
-    def __init__(self, path: Path, keys: Sequence[str]) -> None:
+    def __init__(self, path: Path, runs: Mapping[str, Row]) -> None:
         self.path = path
         self.rows: dict[str, Row] = {}
-        self._keys = list(dict.fromkeys(keys))
+        self._runs = dict(runs)
+        self._other_lines: list[str] = []
 
     def __enter__(self) -> Self:
         require_writable_file(self.path, "file", parents=True)
@@ -57,7 +59,7 @@ class SweepFile:
     def _read(self) -> None:
         """Read the rows of an earlier sweep, and remove a line that was not written to its end."""
         self._file.seek(0)
-        others = 0
+        stale = 0
         length = 0
         for line in self._file.read().splitlines(keepends=True):
             row = _parse_line(line)
@@ -65,22 +67,29 @@ class SweepFile:
                 break
             length += len(line.encode())
             key = row.pop(ROW_KEY)
-            if key in self._keys:
+            if key in self._runs:
                 self.rows[key] = row
+            elif self._has_inputs_of_a_run(row):
+                stale += 1
             else:
-                others += 1
-        if others or (
-            length == 0 and self._file.tell() > 0 and not self._is_cut_line()
-        ):
-            found = f"{others} runs of another sweep" if others else "another file"
+                self._other_lines.append(line)
+        if stale or (length == 0 and self._file.tell() > 0 and not self._is_cut_line()):
+            found = f"{stale} runs of another sweep" if stale else "another file"
             do = (
-                "Name another file, or remove it. A sweep is another one if its mission, swarm, options or "
-                "version has changed, or if it leaves runs out."
+                "Name another file, or remove it. A sweep is another one if its mission, swarm or "
+                "version has changed."
             )
             raise ConfigError(
                 str(self.path), found, "a new file, or that of this sweep", do
             )
         self._file.truncate(length)
+
+    def _has_inputs_of_a_run(self, row: Row) -> bool:
+        """Return whether a row with another key has the inputs of one of the runs."""
+        return any(
+            all(name in row and row[name] == value for name, value in inputs.items())
+            for inputs in self._runs.values()
+        )
 
     def _is_cut_line(self) -> bool:
         """Return whether the file is the beginning of a first line of a sweep."""
@@ -96,8 +105,9 @@ class SweepFile:
         self._file.flush()
 
     def finish(self) -> None:
-        """Write all rows in the order of the sweep."""
-        lines = [_format_line(key, self.rows[key]) for key in self._keys]
+        """Write all rows in the order of the sweep, then those of other inputs."""
+        lines = [_format_line(key, self.rows[key]) for key in self._runs]
+        lines += self._other_lines
         with output_file(self.path, "file") as place:
             place.write_text("".join(lines), encoding="utf-8")
 

@@ -18,6 +18,7 @@ from crazychoir.api.sweep_progress import open_progress
 from crazychoir.api.sweep_rows import Row, build_first_figures
 from crazychoir.api.table import Table
 from crazychoir.api.worker_pool import WorkerPool
+from crazychoir.bus.json_view import to_plain_values
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError, CrazyChoirError, refuse_exit
 from crazychoir.files.private_folder import scratch_folder
@@ -57,6 +58,17 @@ class SweepRun:
         return {**self.inputs, **{k: v for k, v in row.items() if k not in self.inputs}}
 
 
+class SweepInterrupted(KeyboardInterrupt):
+    """Ctrl-C has ended a sweep.
+
+    table: the runs that have ended before
+    """
+
+    def __init__(self, table: Table) -> None:
+        super().__init__()
+        self.table = table
+
+
 def sweep(
     mission: str | Path,
     *,
@@ -82,6 +94,7 @@ def sweep(
         file is the same as without the interruption
     watch: called after each run; None shows a bar of progress on a terminal
     Raises ConfigError for a mission or value that is not allowed, if no run can begin.
+    Raises SweepInterrupted, a KeyboardInterrupt with the table until then, on Ctrl-C.
     """
     if jobs is not None and jobs < 1:
         raise ConfigError("jobs", jobs, "1 or more processes")
@@ -98,11 +111,24 @@ def sweep(
         runs = plan_runs(str(mission), grid)
         kept = None
         if file is not None:
-            kept = stack.enter_context(SweepFile(Path(file), [run.key for run in runs]))
+            inputs = {run.key: to_plain_values(run.inputs) for run in runs}
+            kept = stack.enter_context(SweepFile(Path(file), inputs))
         if watch is None:
             watch = stack.enter_context(open_progress())
-        rows = fly_runs(runs, pool, kept, watch)
-    return Table([run.build_row(rows[run.key]) for run in runs], list(grid))
+        rows = {} if kept is None else dict(kept.rows)
+        try:
+            fly_runs(runs, rows, pool, kept, watch)
+        except KeyboardInterrupt:
+            raise SweepInterrupted(_build_table(runs, rows, grid)) from None
+    return _build_table(runs, rows, grid)
+
+
+def _build_table(
+    runs: Sequence[SweepRun], rows: Mapping[str, Row], inputs: Iterable[str]
+) -> Table:
+    """Return the table of the runs that have a row."""
+    ended = [run.build_row(rows[run.key]) for run in runs if run.key in rows]
+    return Table(ended, list(inputs))
 
 
 def count_cores() -> int:
@@ -180,16 +206,20 @@ class _Planner:
 
 
 def fly_runs(
-    runs: Sequence[SweepRun], pool: WorkerPool, kept: SweepFile | None, watch: Watch
-) -> dict[str, Row]:
-    """Return the row of each run, by its key.
+    runs: Sequence[SweepRun],
+    rows: dict[str, Row],
+    pool: WorkerPool,
+    kept: SweepFile | None,
+    watch: Watch,
+) -> None:
+    """Fly the runs without a row, and add the row of each as soon as it has ended.
 
     runs: the runs
+    rows: {key: row} of the runs that have ended
     pool: the processes
-    kept: file with the rows of runs that have ended before; None for no file
+    kept: file that keeps the rows; None for no file
     watch: called after each run
     """
-    rows = {} if kept is None else dict(kept.rows)
     left = {run.key: run for run in runs if run.key not in rows}
     count = len({run.key for run in runs})
 
@@ -210,7 +240,6 @@ def fly_runs(
             take(key, row)
     if kept is not None:
         kept.finish()
-    return rows
 
 
 def _build_grid(

@@ -10,13 +10,14 @@ from rich.table import Table as ShownTable
 
 from crazychoir.config.number_lists import parse_spans
 from crazychoir.errors import ConfigError, CrazyChoirError
-from crazychoir.files.output_files import require_writable_file
+from crazychoir.files.output_files import require_writable_file, save_figure
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
     ANSWER_CONSOLE,
     ERROR_CONSOLE,
     CommandOutputs,
     exit_with_error,
+    require_drawable,
     set_up_logging,
     write_json,
 )
@@ -62,6 +63,18 @@ def sweep(
     csv: Annotated[
         Path | None, typer.Option(help="Where to write the table (CSV).")
     ] = None,
+    picture: Annotated[
+        Path | None,
+        typer.Option(
+            help="Where to draw the median of a figure over the values (PNG, PDF)."
+        ),
+    ] = None,
+    figure: Annotated[
+        str | None,
+        typer.Option(
+            help="Figure that --picture draws, as settling_s; else the first one."
+        ),
+    ] = None,
     file: Annotated[
         Path | None,
         typer.Option(
@@ -74,8 +87,8 @@ def sweep(
 ) -> None:
     """Fly a mission in virtual time for each seed, loss and option; print medians and quartiles.
 
-    After Ctrl-C the same command goes on where it was. A run that fails is a row
-    of the table, with its reason.
+    After Ctrl-C the table shows the runs that have ended, and the same command
+    goes on where it was. A run that fails is a row of the table, with its reason.
     """
     set_up_logging()
     from crazychoir import api  # takes 1 s, which --help does not need
@@ -85,6 +98,7 @@ def sweep(
     try:
         if csv is not None:
             require_writable_file(csv, "--csv", (".csv",), parents=True)
+        require_drawable(picture)
         chosen = dict(parse_values(text) for text in values or ())
         table = api.sweep(
             mission,
@@ -100,20 +114,52 @@ def sweep(
         if csv is not None:
             with outputs.writing("--csv"):
                 table.to_csv(csv)
+        if picture is not None:
+            with outputs.writing("--picture"):
+                _draw(table, figure, picture)
     except CrazyChoirError as error:
         exit_with_error(error, as_json)
-    except KeyboardInterrupt:
-        _exit_interrupted(kept, as_json)
-    summary = table.summary()
-    if as_json:
-        told = {"runs": len(table), "rows": table.rows, "summary": summary.rows}
-        write_json({"success": not outputs.failed} | told | outputs.told)
-    else:
-        ANSWER_CONSOLE.print(_build_summary_table(summary, table.figures))
-        _show_failures(table)
+    except KeyboardInterrupt as end:
+        text = _describe_interruption(kept)
+        ended = {"success": False, "error": text, "kind": "KeyboardInterrupt"}
+        _show(getattr(end, "table", None), as_json, ended)
+        ERROR_CONSOLE.print(text, markup=False, highlight=False, soft_wrap=True)
+        raise typer.Exit(130) from None
+    _show(table, as_json, {"success": not outputs.failed} | outputs.told)
     outputs.say()
     if outputs.failed:
         raise typer.Exit(1)
+
+
+def _show(table: "Table | None", as_json: bool, told: dict[str, Any]) -> None:
+    """Print the medians of the runs that have ended, or all runs as JSON.
+
+    told: more values of the JSON object
+    """
+    runs: dict[str, Any] = {}
+    if table:
+        summary = table.summary()
+        runs = {"runs": len(table), "rows": table.rows, "summary": summary.rows}
+        if not as_json:
+            ANSWER_CONSOLE.print(_build_summary_table(summary, table.figures))
+            _show_failures(table)
+    if as_json:
+        write_json(runs | told)
+
+
+def _draw(table: "Table", figure: str | None, path: Path) -> None:
+    """Draw a figure over the input that varies; a second input that varies has a line a value."""
+    if figure is None and not table.figures:
+        raise ConfigError("--picture", "no figure of any run", "a run with a figure")
+    varied = [
+        name
+        for name in table.inputs
+        if name != "seed" and len({str(value) for value in table.column(name)}) > 1
+    ]
+    varied.sort(key=lambda name: isinstance(table.column(name)[0], str))
+    across, by, *_ = [*varied, None, None]
+    shown = table.plot(figure or table.figures[0], across, by)
+    save_figure(shown, path)
 
 
 def parse_values(text: str) -> tuple[str, list[Any]]:
@@ -147,16 +193,14 @@ def _parse_counts(text: str) -> list[int]:
     return parse_spans(text, "--drones", allowed, last=options.OPTION_LIMITS.drones)
 
 
-def _exit_interrupted(kept: Path | None, as_json: bool) -> None:
-    """Say how the sweep goes on, and exit with 130."""
-    text = "Ctrl-C: the sweep ends here; name --csv or --file, and the next one can go on from there"
-    if kept is not None and kept.is_file():
-        lines = kept.read_text(encoding="utf-8").count("\n")
-        text = f"Ctrl-C: {lines} runs are kept in {kept}: the same command goes on from there"
-    if as_json:
-        write_json({"success": False, "error": text, "kind": "KeyboardInterrupt"})
-    ERROR_CONSOLE.print(text, markup=False, highlight=False, soft_wrap=True)
-    raise typer.Exit(130)
+def _describe_interruption(kept: Path | None) -> str:
+    """Return how the sweep goes on."""
+    if kept is None or not kept.is_file():
+        return "Ctrl-C: the sweep ends here; name --csv or --file, and the next one can go on from there"
+    lines = kept.read_text(encoding="utf-8").count("\n")
+    return (
+        f"Ctrl-C: {lines} runs are kept in {kept}: the same command goes on from there"
+    )
 
 
 def _build_summary_table(summary: "Table", figures: list[str]) -> ShownTable:

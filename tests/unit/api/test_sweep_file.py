@@ -6,12 +6,17 @@ from crazychoir.api.sweep_file import SweepFile
 from crazychoir.errors import ConfigError
 
 KEYS = ["a", "b", "c"]
+RUNS = {key: {"seed": key} for key in KEYS}
+
+
+def row(key):
+    return {"seed": key, "value": key * 2}
 
 
 def whole(path, order=KEYS):
-    with SweepFile(path, KEYS) as file:
+    with SweepFile(path, RUNS) as file:
         for key in order:
-            file.add(key, {"value": key * 2})
+            file.add(key, row(key))
         file.finish()
     return path.read_bytes()
 
@@ -23,15 +28,15 @@ def test_the_order_in_which_runs_end_does_not_matter(tmp_path):
 @pytest.mark.parametrize("cut", [0, 1, 5])
 def test_an_interrupted_sweep_goes_on(tmp_path, cut):
     path = tmp_path / "a.jsonl"
-    with SweepFile(path, KEYS) as file:
-        file.add("c", {"value": "cc"})
-        file.add("a", {"value": "aa"})
+    with SweepFile(path, RUNS) as file:
+        file.add("c", row("c"))
+        file.add("a", row("a"))
     path.write_bytes(path.read_bytes()[: -cut or None])
-    with SweepFile(path, KEYS) as file:
+    with SweepFile(path, RUNS) as file:
         assert list(file.rows) == (["c", "a"] if cut == 0 else ["c"])
         for key in KEYS:
             if key not in file.rows:
-                file.add(key, {"value": key * 2})
+                file.add(key, row(key))
         file.finish()
     assert path.read_bytes() == whole(tmp_path / "b.jsonl")
 
@@ -42,13 +47,27 @@ def test_a_first_line_that_was_cut_is_no_fault(tmp_path):
     assert whole(path) == whole(tmp_path / "b.jsonl")
 
 
-def test_a_sweep_may_get_more_runs_and_not_fewer(tmp_path):
+def test_a_sweep_may_get_more_runs_and_read_some_of_them(tmp_path):
     path = tmp_path / "a.jsonl"
-    whole(path)
-    with SweepFile(path, [*KEYS, "d"]) as file:
+    all_rows = whole(path)
+    with SweepFile(path, RUNS | {"d": {"seed": "d"}}) as file:
         assert list(file.rows) == KEYS
+    with SweepFile(path, {key: RUNS[key] for key in "bc"}) as file:
+        assert list(file.rows) == ["b", "c"]
+        file.finish()
+    assert sorted(path.read_bytes().splitlines()) == sorted(all_rows.splitlines())
+    with SweepFile(path, RUNS) as file:
+        file.finish()
+    assert path.read_bytes() == all_rows
+
+
+def test_a_row_of_another_sweep_with_the_same_inputs_is_refused(tmp_path):
+    path = tmp_path / "a.jsonl"
+    before = whole(path)
+    changed = {"new": RUNS["b"]}
     with pytest.raises(ConfigError, match=r"found 1 runs of another sweep.*remove it"):
-        SweepFile(path, KEYS[:2]).__enter__()
+        SweepFile(path, changed).__enter__()
+    assert path.read_bytes() == before
 
 
 @pytest.mark.parametrize("text", ["x,y\n1,2\n", '{"other": 1}\n', "[1]\n"])
@@ -56,14 +75,14 @@ def test_another_file_is_not_touched(tmp_path, text):
     path = tmp_path / "a.jsonl"
     path.write_text(text)
     with pytest.raises(ConfigError, match="found another file"):
-        SweepFile(path, KEYS).__enter__()
+        SweepFile(path, RUNS).__enter__()
     assert path.read_text() == text
 
 
 def test_two_sweeps_do_not_write_one_file(tmp_path):
     path = tmp_path / "a.jsonl"
     with (
-        SweepFile(path, KEYS),
+        SweepFile(path, RUNS),
         pytest.raises(ConfigError, match="another sweep writes"),
     ):
-        SweepFile(path, KEYS).__enter__()
+        SweepFile(path, RUNS).__enter__()

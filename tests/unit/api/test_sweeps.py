@@ -6,7 +6,7 @@ import signal
 import pytest
 
 from crazychoir.api import sweep
-from crazychoir.api.sweeps import plan_runs
+from crazychoir.api.sweeps import SweepInterrupted, plan_runs
 from crazychoir.errors import ConfigError
 
 MISSION = """
@@ -79,9 +79,10 @@ def test_a_sweep_has_the_same_rows_interrupted_or_not_by_any_number_of_processes
             os.kill(os.getpid(), signal.SIGINT)
 
     file = tmp_path / "a.jsonl"
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(SweepInterrupted) as end:
         sweep(mission, **values, drones=2, jobs=1, file=file, watch=interrupt)
     ended_before = len(file.read_text().splitlines())
+    assert len(end.value.table) == ended_before
     assert 3 <= ended_before < 8
     told = []
     again = sweep(

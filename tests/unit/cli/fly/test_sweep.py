@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from crazychoir import api
+from crazychoir.api.sweeps import SweepInterrupted
 from crazychoir.api.table import Table
 from crazychoir.cli.fly.sweep import parse_values
 from crazychoir.cli.main import app
@@ -32,6 +33,8 @@ def asked(monkeypatch):
     def sweep(mission, **values):
         calls.update(values, mission=mission)
         if mission == "interrupted":
+            raise SweepInterrupted(Table(ROWS[:2], ["loss", "seed"]))
+        if mission == "interrupted at once":
             raise KeyboardInterrupt
         return Table(ROWS, ["loss", "seed"])
 
@@ -81,7 +84,22 @@ def test_ctrl_c_says_how_the_sweep_goes_on(asked, tmp_path):
     done = run("interrupted", "--file", file)
     assert done.exit_code == 130
     assert f"2 runs are kept in {file}: the same command goes on" in done.stderr
-    assert "name --csv or --file" in run("interrupted").stderr
+    assert "1.5 (1.25–1.75)" in done.stdout
+    assert "name --csv or --file" in run("interrupted at once").stderr
+    told = json.loads(run("interrupted", "--json").stdout)
+    assert told["rows"] == ROWS[:2]
+    assert told["success"] is False
+
+
+def test_a_picture_shows_a_figure_over_the_input_that_varies(asked, tmp_path):
+    file = tmp_path / "a.svg"
+    assert run("figure", "--picture", file).exit_code == 0
+    text = file.read_text()
+    assert "<!-- loss -->" in text
+    assert "<!-- settling [s] -->" in text
+    done = run("figure", "--picture", file, "--figure", "cost")
+    assert done.exit_code == 1
+    assert "Not written: --picture: column: found cost" in done.stderr
 
 
 @pytest.mark.parametrize(
