@@ -301,6 +301,19 @@ def _strip_drone(i: Any, reason: Any) -> str:
     return str(reason).removeprefix(f"drone {i}: ")
 
 
+def group_reasons(reasons: Mapping[int, Any]) -> list[tuple[str, str]]:
+    """Return each reason once, behind the drones that have it, such as "drones 0 to 3"."""
+    from crazychoir.team.graph import describe_ids  # --help does not need it
+
+    drones_by_reason: dict[str, list[int]] = {}
+    for i, reason in reasons.items():
+        drones_by_reason.setdefault(_strip_drone(i, reason), []).append(int(i))
+    return [
+        (f"drone{'s' if len(ids) > 1 else ''} {describe_ids(ids)}", reason)
+        for reason, ids in drones_by_reason.items()
+    ]
+
+
 def _format_short_value(value: Any) -> str:
     text = f"{value:.4g}" if isinstance(value, float) else str(value)
     return text if len(text) <= 40 else f"{text[:37]}..."
@@ -507,8 +520,8 @@ def build_summary_table(run: dict[str, Any]) -> Table:
         table.add_row("reason", Text(run["reason"], "red"))
     for i, words in run.get("ended", {}).items():
         table.add_row(f"drone {i}", Text(_strip_drone(i, words)))
-    for i, reason in run["reasons"].items():
-        table.add_row(f"drone {i}", Text(_strip_drone(i, reason), "red"))
+    for names, reason in group_reasons(run["reasons"]):
+        table.add_row(names, Text(reason, "red"))
     return table
 
 

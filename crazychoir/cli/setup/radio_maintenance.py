@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
+from rich.text import Text
 
 from crazychoir.cli.operate.inspect import JsonOption
 from crazychoir.cli.operate.orders import parse_drones
@@ -15,6 +16,7 @@ from crazychoir.launch.console import (
     ANSWER_CONSOLE,
     exit_interrupted,
     exit_with_error,
+    group_reasons,
     redirect_prints,
     set_up_logging,
     write_json,
@@ -192,7 +194,8 @@ async def _try(
     try:
         found = await work(clock, row.uri, contents, config.radio.connect_deadline)
     except CrazyChoirError as error:
-        return told | {"success": False, "says": str(error)}
+        says = str(error).removeprefix(f"{row.uri}: ")
+        return told | {"success": False, "says": says}
     says = "; ".join(found.problems) or done
     told |= {"battery_v": round(found.volts, 2), "release": found.release}
     return told | {"success": True, "says": says}
@@ -246,7 +249,10 @@ def _conclude(rows: dict[str, Row], as_json: bool) -> None:
     if as_json:
         write_json({"success": success, "drones": rows})
     else:
-        table = Table("drone", "uri", "battery", "firmware", "says")
+        table = Table("drone")
+        table.add_column("uri", no_wrap=True)
+        for heading in ("battery", "firmware", "says"):
+            table.add_column(heading)
         for name, row in rows.items():
             volts = row.get("battery_v")
             table.add_row(
@@ -254,7 +260,15 @@ def _conclude(rows: dict[str, Row], as_json: bool) -> None:
                 row["uri"],
                 "" if volts is None else f"{volts:.2f} V",
                 row.get("release", ""),
-                row["says"],
+                row["says"] if row["success"] else "failed",
             )
         ANSWER_CONSOLE.print(table if rows else "No drone is found.")
+        failures = {
+            int(name.removeprefix("drone ")): row["says"]
+            for name, row in rows.items()
+            if not row["success"]
+        }
+        for names, says in group_reasons(failures):
+            text = Text(f"{names}: {says}", "red")
+            ANSWER_CONSOLE.print(text, soft_wrap=True)
     raise typer.Exit(0 if success else 1)

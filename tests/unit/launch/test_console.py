@@ -334,3 +334,11 @@ def test_what_fails_in_the_same_way_in_many_drones_is_traced_once(capfd):
     assert said.count("Traceback") == 2, "both laws fail in the same line of numpy"
     assert said.index("drone 0") < said.index("np.zeros") < said.index("drone 1")
     assert said.index("drone 2") < said.index("np.ones") < said.index("drone 3")
+
+
+def test_drones_that_fail_alike_share_a_row():
+    same = {i: f"drone {i}: the fence is too small" for i in (0, 1, 2)}
+    assert show.group_reasons(same | {5: "lost"}) == [
+        ("drones 0 to 2", "the fence is too small"),
+        ("drone 5", "lost"),
+    ]

@@ -6,7 +6,7 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from crazychoir.cli.setup import radio
+from crazychoir.cli.setup import radio, radio_maintenance
 from crazychoir.cli.setup.radio_tables import progress_table
 from crazychoir.radio.survey.ping import PingResult
 from crazychoir.radio.survey.simulated_radio import SimulatedRadio, random_room
@@ -197,6 +197,24 @@ def test_ping_succeeds_if_nothing_is_lost(monkeypatch, lost, error, code):
     table = said("ping", "udp://a:1").stdout
     assert "2.00 ms" in table
     assert ("udp://a:1: cut" in table) == bool(error)
+
+
+def test_a_failure_of_several_drones_is_said_once_below_their_whole_uris(
+    swarm, monkeypatch
+):
+    def ping(uris, *arguments):
+        return [PingResult(uri, 0, (), "no dongle") for uri in uris]
+
+    monkeypatch.setattr("crazychoir.radio.survey.ping.ping", ping)
+    monkeypatch.setattr(
+        radio_maintenance, "_owned_dongles", lambda *_: contextlib.nullcontext()
+    )
+    text = said("scan", "--swarm", swarm).stdout
+    assert text.count("no dongle") == 1
+    assert "drones 0 to 2: no dongle" in text
+    assert all(
+        f"radio://{end}" in text for end in ("1/80/2M/E7E7E7E701", "0/80/2M/E7E7E7E702")
+    )
 
 
 def test_ping_refuses_what_is_no_address():
