@@ -79,7 +79,8 @@ class FlightRequest:
             config = SwarmConfig.load(str(self.what))
             if config.mission is None:
                 raise ConfigError(str(self.what), "no mission", 'mission = "name"')
-            return self._change(config, None), load_mission(config.mission)
+            named = load_mission(config.mission, f"{self.what}: mission")
+            return self._change(config, None), named
         name, mission = find_mission(self.what)
         if self.swarm is not None:
             given = self.swarm

@@ -3,6 +3,7 @@
 Errors name the file, the key, the value and the allowed values.
 """
 
+import contextlib
 import json
 import math
 import tomllib
@@ -26,6 +27,8 @@ StructType = TypeVar("StructType", bound=msgspec.Struct)
 
 NESTING_LIMIT = 16
 """Most levels of lists and tables."""
+END_OF_TEXT = "at end of document"
+"""Words of an error of tomllib about something that is still open at the end."""
 SHOWN_LETTERS = 80
 """Most letters of a value in an error text."""
 
@@ -44,11 +47,27 @@ def parse(text: str, where: str) -> dict[str, Any]:
     try:
         raw: dict[str, Any] = decode(text)
     except (ValueError, RecursionError) as error:
-        raise ConfigError(
-            where, str(error), f"{language} text", "Correct the line."
-        ) from error
+        found = str(error)
+        if language == "TOML" and END_OF_TEXT in found:
+            line = _find_open_line(text)
+            found = found.replace(END_OF_TEXT, f"at line {line}")
+        do = "Correct the line."
+        raise ConfigError(where, found, f"{language} text", do) from error
     require_plain(raw, where)
     return raw
+
+
+def _find_open_line(text: str) -> int:
+    """Return the number, from 1, of the line that begins what is still open at the end of a TOML text.
+
+    It is the line after the longest part that is a text of its own.
+    """
+    lines = text.splitlines(keepends=True)
+    for count in range(len(lines) - 1, 0, -1):
+        with contextlib.suppress(ValueError):
+            tomllib.loads("".join(lines[:count]))
+            return count + 1
+    return 1
 
 
 def _decode_json(text: str) -> Any:

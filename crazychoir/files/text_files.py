@@ -51,9 +51,16 @@ def read_text(
     try:
         data = Path(path).read_bytes()
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
-        reason = getattr(error, "strerror", None) or str(error)
-        raise kind(str(path), reason, allowed, do) from error
+        raise kind(str(path), describe_unreadable(error), allowed, do) from error
     return decode_text(data, str(path), allowed, kind=kind, exact=exact)
+
+
+def describe_unreadable(error: OSError | ValueError) -> str:
+    """Return what was found in place of a file that can be read."""
+    reason = getattr(error, "strerror", None) or str(error)
+    if isinstance(error, FileNotFoundError):
+        return f"no file ({reason})"
+    return f"a file that cannot be read ({reason})"
 
 
 def decode_text(

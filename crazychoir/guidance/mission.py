@@ -79,16 +79,17 @@ class Mission(Protocol):
         ...
 
 
-def load_mission(name: str) -> Mission:
+def load_mission(name: str, where: str = "mission") -> Mission:
     """Return a mission with its hooks guarded.
 
     name: name of a mission in agents/, or path of a .py file.
+    where: what names the mission, for errors, such as "lab.toml: mission"
     Raises ConfigError if there is no such mission.
     """
     module = (
-        import_from_file(Path(name), "mission")
+        import_from_file(Path(name), "mission", where)
         if name.endswith(".py")
-        else _import_from_package(name)
+        else _import_from_package(name, where)
     )
     if not callable(getattr(module, "guidance", None)):
         do = "See agents/bearing_formation.py."
@@ -153,7 +154,7 @@ def resolve_example(what: str) -> str:
     return what if example is None else str(example)
 
 
-def _import_from_package(name: str) -> ModuleType:
+def _import_from_package(name: str, where: str) -> ModuleType:
     if name not in list_mission_names():
         names = list_mission_names()
         files = [
@@ -161,5 +162,5 @@ def _import_from_package(name: str) -> ModuleType:
         ]
         near = suggest_name(name, files or [*names, *list_examples()])
         do = f"{near} Or give the path of a .py file.".strip()
-        raise ConfigError("mission", name, ", ".join(names), do)
+        raise ConfigError(where, name, ", ".join(names), do)
     return importlib.import_module(f"{MISSION_PACKAGE}.{name}")

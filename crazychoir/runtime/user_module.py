@@ -10,14 +10,15 @@ from crazychoir.errors import ConfigError, Hung, error_text, refuse_exit
 from crazychoir.runtime.user_code_guard import USER_CODE_TIMES, limit_duration
 
 
-def import_from_file(path: Path, kind: str) -> ModuleType:
+def import_from_file(path: Path, kind: str, named_by: str = "") -> ModuleType:
     """Return the module of a user's .py file.
 
     kind: what errors call the file, such as "mission".
+    named_by: what names the file, for errors; empty for `kind`
     Raises ConfigError if the file cannot be imported.
     """
     if not path.is_file():
-        raise ConfigError(kind, str(path), "a Python file that exists")
+        raise ConfigError(named_by or kind, str(path), "a Python file that exists")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
         raise ConfigError(kind, str(path), "a Python file")

@@ -3,6 +3,7 @@
 import random
 import re
 from collections.abc import Iterable, Mapping
+from difflib import get_close_matches
 from functools import cached_property, lru_cache
 from itertools import combinations, pairwise, permutations, product
 from math import dist, isfinite, nan, pi
@@ -22,6 +23,8 @@ SHAPE_NAMES = "ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, ge
 """Shapes that a swarm file can name."""
 DIRECTED_SHAPES = "ring, erdos-renyi:P"
 """Shapes of SHAPE_NAMES that can be directed."""
+LEAST_LIKENESS = 0.75
+"""Least likeness of a name to the shape that was meant, 0 to 1."""
 SHAPE_FORMS = {
     "k-regular": ("k-regular:K", "K a whole number of neighbours, as k-regular:4"),
     "erdos-renyi": ("erdos-renyi:P", "P a probability of 0 to 1, as erdos-renyi:0.3"),
@@ -522,13 +525,18 @@ def _shape_error(name: str, meant: str) -> ConfigError:
 def _hint_at_shape(shape: str, given: str) -> str:
     """Return a hint with the shape that was probably meant, or an empty text.
 
-    A known shape matches if it has the same letters with other capitals, hyphens or blanks.
+    Other capitals, hyphens or blanks do not count.
     """
+    names = ("ring", "path", "star", "complete", "empty", *SHAPE_FORMS)
+    known_by_letters = {name.replace("-", ""): name for name in names}
     letters = re.sub(r"[^a-z]", "", shape.lower())
-    for known in ("ring", "path", "star", "complete", "empty", *SHAPE_FORMS):
-        if known.replace("-", "") == letters:
-            return f"Did you mean {known}{':' + given if given and known in SHAPE_FORMS else ''}?"
-    return ""
+    near = get_close_matches(letters, known_by_letters, n=1, cutoff=LEAST_LIKENESS)
+    if not near:
+        return ""
+    known = known_by_letters[near[0]]
+    return (
+        f"Did you mean {known}{':' + given if given and known in SHAPE_FORMS else ''}?"
+    )
 
 
 def metropolis(graph: Graph) -> Weights:

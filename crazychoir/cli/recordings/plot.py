@@ -57,8 +57,8 @@ def plot(
 ) -> None:
     """Draw plots of a recorded flight, and write its tables.
 
-    Plots: paths, heights, errors, distances, tasks, messages, convergence,
-    log variables.
+    Plots: top, space, tracking, heights, separation, tasks, messages,
+    convergence, and log variables.
     The tables (CSV) are written beside the pictures.
     """
     set_up_logging()

@@ -15,6 +15,7 @@ from mcap.stream_reader import get_chunk_data_stream
 from mcap.writer import MCAP0_MAGIC
 
 from crazychoir.errors import ConfigError, CrazyChoirError
+from crazychoir.files.text_files import describe_unreadable
 
 RECORDING_HINT = "Give it a file of `crazychoir run ... --record FILE`."
 MESSAGE_HEADER = struct.Struct("<HIQQ")
@@ -54,9 +55,8 @@ def open_recording(path: Path) -> Iterator[mmap.mmap]:
                 raise ConfigError(str(path), found, "an MCAP file", RECORDING_HINT)
             content = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     except OSError as error:
-        raise ConfigError(
-            str(path), str(error.strerror), "a file that can be read", RECORDING_HINT
-        ) from error
+        found = describe_unreadable(error)
+        raise ConfigError(str(path), found, "a recording", RECORDING_HINT) from error
     with content:
         yield content
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import ConfigError
+from crazychoir.files.text_files import describe_unreadable
 
 
 def read_array_file(path: Path, allowed: str) -> dict[str, Any]:
@@ -22,7 +23,7 @@ def read_array_file(path: Path, allowed: str) -> dict[str, Any]:
                 return dict(loaded)
         found = "one array"
     except OSError as error:
-        found = error.strerror or "a file that cannot be read"
+        found = describe_unreadable(error)
     except (ValueError, EOFError, zipfile.BadZipFile):
         found = "no arrays"
     raise ConfigError(str(path), found, allowed)

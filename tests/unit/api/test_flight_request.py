@@ -72,6 +72,17 @@ def test_a_class_names_its_mission_as_a_file_would():
     assert FlightRequest(RisingHigh).choose()[0].mission == "rising_high"
 
 
+@pytest.mark.parametrize("name", ["nothere.py", "nothere"])
+def test_a_mission_that_does_not_exist_is_refused_with_the_file_that_names_it(
+    tmp_path, name
+):
+    file = tmp_path / "lab.toml"
+    drone = "[[drones]]\nid = 0\nhome = [0, 0, 0]\n"
+    file.write_text(f'name = "a"\nmission = "{name}"\n{drone}')
+    with pytest.raises(ConfigError, match=r"lab.toml: mission: found .*nothere"):
+        FlightRequest(str(file)).choose()
+
+
 def test_what_is_no_mission_is_refused():
     with pytest.raises(ConfigError, match=r"mission: found int 3.*a class of guidance"):
         FlightRequest(3).choose()

@@ -25,8 +25,8 @@ CASES = {
     "misspelt key of a drone": (
         "",
         "neighbours = [2]",
-        "x.toml: drones[3].neighbours = [2]: there is no such key; the keys here are id, home, uri, name, enabled, "
-        "neighbors, body, calibration, platform, yaw, leader, role, host, options, dongle, pose, body_offset, "
+        "x.toml: drones[3].neighbours = [2]: there is no such key; the keys here are id, home, name, enabled, "
+        "neighbors, body, calibration, uri, platform, yaw, leader, role, host, options, dongle, pose, body_offset, "
         "body_rotation, parameters, battery_warning, battery_critical. Did you mean neighbors?",
     ),
     "unknown key beside one that is missing": (
@@ -122,7 +122,7 @@ CASES = {
         'graph = "rng"',
         "",
         "x.toml: graph: found rng; allowed: ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, "
-        "geometric:R, grid:ROWSxCOLUMNS.",
+        "geometric:R, grid:ROWSxCOLUMNS. Did you mean ring?",
     ),
     "graph that cannot be": (
         'graph = "k-regular:4"',
@@ -398,7 +398,11 @@ def test_the_square_itself_is_right() -> None:
     [
         (
             "a = [",
-            "x.toml: found Invalid value (at end of document); allowed: TOML text. Correct the line.",
+            "x.toml: found Invalid value (at line 1); allowed: TOML text. Correct the line.",
+        ),
+        (
+            "name = 'x'\na = [\n  1",
+            "x.toml: found Unclosed array (at line 2); allowed: TOML text. Correct the line.",
         ),
         (
             '{"name": ',
@@ -414,7 +418,7 @@ def test_the_square_itself_is_right() -> None:
         ),
         (
             'name = "x"\ndrones = [3]',
-            "x.toml: drones[0]: found 3; allowed: a table with id, home, uri, name",
+            "x.toml: drones[0]: found 3; allowed: a table with id, home, name",
         ),
         (
             'name = "x"\ndrones = 3',
@@ -464,8 +468,8 @@ def test_a_process_on_two_hosts() -> None:
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:
     for path, reason in (
-        (tmp_path / "none.toml", "No such file or directory"),
-        (tmp_path, "Is a directory"),
+        (tmp_path / "none.toml", "no file (No such file or directory)"),
+        (tmp_path, "a file that cannot be read (Is a directory)"),
     ):
         with pytest.raises(ConfigError) as caught:
             SwarmConfig.load(path)

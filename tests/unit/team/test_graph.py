@@ -245,9 +245,9 @@ def test_names(name: str, graph: Graph) -> None:
 
 def test_a_wrong_name_lists_the_known_ones() -> None:
     with pytest.raises(ConfigError) as caught:
-        shapes.graph_from_name("rng", 6)
+        shapes.graph_from_name("triangle", 6)
     assert str(caught.value) == (
-        "graph: found rng; allowed: ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, geometric:R, "
+        "graph: found triangle; allowed: ring, path, star, complete, empty, k-regular:K, erdos-renyi:P, geometric:R, "
         "grid:ROWSxCOLUMNS."
     )
 
@@ -395,6 +395,7 @@ def test_the_sides_of_a_grid_are_taken_however_they_are_written(name: str) -> No
         ("erdos_renyi:0.3", "Did you mean erdos-renyi:0.3?"),
         ("Erdos-Renyi:0.3", "Did you mean erdos-renyi:0.3?"),
         ("Ring", "Did you mean ring?"),
+        ("compleet", "Did you mean complete?"),
         ("ring:3", "Write ring."),
         ("star:", "Write star."),
         ("k-regular:4.0", "Write k-regular:4."),

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from crazychoir.errors import ConfigError
+from crazychoir.files.text_files import describe_unreadable
 from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.simulation.identification.array_files import read_array_file
 from crazychoir.simulation.identification.flights import FLIGHT_TIME_STEP
@@ -193,7 +194,7 @@ def _read_table(path: Path) -> dict[str, Mat]:
     except (OSError, ValueError, IndexError) as error:
         found = f"no table of numbers ({error})"
         if isinstance(error, OSError):
-            found = error.strerror or "a file that cannot be read"
+            found = describe_unreadable(error)
         elif isinstance(error, IndexError):
             found = "an empty file"
         allowed = "a table .csv with a line of names, then numbers"

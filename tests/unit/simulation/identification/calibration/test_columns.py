@@ -66,7 +66,7 @@ def test_a_file_that_cannot_be_read_is_refused_in_words_of_the_user(
     tmp_path, reader, suffix
 ):
     path = tmp_path / f"flight{suffix}"
-    with pytest.raises(ConfigError, match=r"flight\.\w+: found No such file"):
+    with pytest.raises(ConfigError, match=r"flight\.\w+: found no file .No such file"):
         reader(path)
     path.write_text("")
     with pytest.raises(ConfigError, match=r"found (no arrays|an empty file)") as caught:
