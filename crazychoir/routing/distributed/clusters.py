@@ -232,7 +232,13 @@ class SearchPass:
 def list_usual_passes(
     settings: SearchSettings, robots: int, tasks: int, diameter: int
 ) -> Iterator[SearchPass]:
-    """Yield the passes of a team without a budget: they share the search steps equally."""
+    """Yield the passes of a team without a budget.
+
+    They share the search steps equally, except in a small team with long routes, see SearchSettings.
+    """
+    if robots <= settings.small_team and tasks > settings.cluster[1]:
+        yield from _list_long_passes(settings, robots, tasks)
+        return
     passes = settings.count_passes(robots, tasks, diameter)
     for number in range(passes):
         yield SearchPass(
@@ -242,6 +248,17 @@ def list_usual_passes(
             settings.leaders,
             SEARCH_DEFAULTS.first_temperature,
         )
+
+
+def _list_long_passes(
+    settings: SearchSettings, robots: int, tasks: int
+) -> Iterator[SearchPass]:
+    """Yield few passes in which all robots are one cluster."""
+    # A cluster has at least half of these numbers, so that the whole team always fits.
+    cluster = (2 * robots, 2 * tasks)
+    for number, (share, temperature) in enumerate(settings.long_passes):
+        steps = round(share * settings.steps)
+        yield SearchPass(number, steps, cluster, settings.leaders, temperature)
 
 
 def list_anytime_passes(settings: AnytimeSettings) -> Iterator[SearchPass]:

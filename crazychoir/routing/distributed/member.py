@@ -85,6 +85,18 @@ class SearchSettings:
     """Largest number of passes of clusters."""
     still_passes: int = 8
     """The passes end after this many passes without a better route."""
+    small_team: int = 6
+    """A team of at most this many robots is one cluster, also with more tasks than fit in one."""
+    long_passes: tuple[tuple[float, float], ...] = (
+        (0.5, 0.5),
+        (0.25, 0.15),
+        (0.25, 0.15),
+    )
+    """The passes of a small team with more tasks than fit in a cluster.
+
+    For each pass: its share of `steps`, and its first temperature as SearchOptions.first_temperature.
+    The routes are long, so that the first search has to cool slowly. The others keep most of the plan.
+    """
 
     def count_passes(self, robots: int, tasks: int, diameter: int) -> int:
         """Return the number of passes of clusters, which share the search steps.

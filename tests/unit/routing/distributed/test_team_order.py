@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crazychoir.routing.distributed.clusters import Neighbors
+from crazychoir.routing.distributed.clusters import Neighbors, list_usual_passes
 from crazychoir.routing.distributed.member import RoutingSettings, SearchSettings
 from crazychoir.routing.distributed.plain_loop import solve_in_loop
 from crazychoir.routing.distributed.team_order import TeamOrder
@@ -66,3 +66,27 @@ def test_the_two_longest_routes_can_meet_in_a_cluster():
     for k in range(6):
         clusters = near.draw(routes, (25, 10), 1, [k])
         assert [len(c.robots) for c in clusters] == [4]
+
+
+def test_a_small_team_with_long_routes_is_one_cluster_in_every_pass():
+    settings = SearchSettings()
+    instance = random_instance(6, 66, 1)
+    robots = {i: instance.local(i) for i in range(6)}
+    near = Neighbors(robots, TeamOrder.of(robots))
+    routes = {i: [v for j in range(i, 66, 6) for v in (j, 66 + j)] for i in range(6)}
+    passes = list(list_usual_passes(settings, 6, 66, diameter=3))
+    for one in passes:
+        (cluster,) = near.draw(routes, one.cluster, one.leaders, [one.number])
+        assert len(cluster.robots) == 6
+        assert len(cluster.tasks) == 66
+    assert sum(one.steps for one in passes) == settings.steps
+    assert passes[0].steps > passes[1].steps
+    assert passes[0].temperature > passes[1].temperature
+
+
+@pytest.mark.parametrize(("robots", "tasks"), [(7, 66), (6, 60)])
+def test_other_teams_share_the_steps_equally(robots, tasks):
+    settings = SearchSettings()
+    passes = list(list_usual_passes(settings, robots, tasks, diameter=3))
+    assert len(passes) >= settings.least_passes
+    assert len({one.steps for one in passes}) == 1
