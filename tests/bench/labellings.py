@@ -29,7 +29,7 @@ from crazychoir.routing.instance.instance import Instance
 from crazychoir.solve.solve_options import SolveOptions
 from crazychoir.solve.solving import solve_here
 
-VROOM_EXPLORATION = 5
+MOST_EXPLORATION = 5
 ROBOT_FIELDS = ("home", "capacity", "capability")
 TASK_FIELDS = ("pickup", "delivery", "load")
 CAPACITIES = (3, 8)
@@ -112,8 +112,11 @@ def draw_labellings(instance: Instance, count: int) -> Iterator[Instance]:
         yield relabel(instance, robots, tasks)
 
 
-def solve_with_vroom(instance: Instance, seconds: float) -> float:
-    """Return VROOM's least cost in m, of restarts in random orders for some seconds of CPU."""
+def solve_with_vroom(instance: Instance, seconds: float, exploration: int) -> float:
+    """Return VROOM's least cost in m, of restarts in random orders for some seconds of CPU.
+
+    It runs at least once, which takes minutes with 200 tasks and the highest exploration level.
+    """
     vroom = importlib.import_module("vroom")
     raw = instance.to_json()
     points = np.array([*raw["home"], *raw["pickup"], *raw["delivery"]])
@@ -128,22 +131,26 @@ def solve_with_vroom(instance: Instance, seconds: float) -> float:
     began = time.process_time()
     least = np.inf
     while least == np.inf or time.process_time() - began < seconds:
-        routes = run_vroom(vroom, problem, draw, VROOM_EXPLORATION, 1)
+        routes = run_vroom(vroom, problem, draw, exploration, 1)
         if problem.serves_all(routes):
             least = min(least, problem.cost(routes))
     return least
 
 
 def measure(
-    name: str, instance: Instance, labellings: int, reference: int
+    name: str, instance: Instance, labellings: int, reference: int, exploration: int
 ) -> Measurement:
-    """Return what the labellings of an instance cost; reference: search steps of a long search."""
+    """Return what the labellings of an instance cost.
+
+    reference: search steps of a long search.
+    exploration: level of VROOM.
+    """
     found = Measurement(name)
     for one in draw_labellings(instance, labellings):
         began = time.process_time()
         found.costs.append(solve_here(one)["cost"])
         found.seconds.append(time.process_time() - began)
-    found.vroom = solve_with_vroom(instance, float(np.mean(found.seconds)))
+    found.vroom = solve_with_vroom(instance, float(np.mean(found.seconds)), exploration)
     if reference:
         settings = RoutingSettings(budget=BudgetSettings(work=reference))
         found.reference = solve_here(instance, SolveOptions(settings=settings))["cost"]
@@ -158,6 +165,7 @@ def main() -> None:
     parser.add_argument("--tasks", type=parse_range, default=(5, 40))
     parser.add_argument("--labellings", type=int, default=6)
     parser.add_argument("--reference", type=int, default=0)
+    parser.add_argument("--exploration", type=int, default=MOST_EXPLORATION)
     parser.add_argument("files", nargs="*")
     asked = parser.parse_args()
     solve_here(random_instance(2, 3, 0))  # compiled before anything is measured
@@ -169,7 +177,9 @@ def main() -> None:
     print("  robots tasks      cost  spread   vroom    best    cpu  instance")
     rows = []
     for name, instance in cases:
-        row = measure(name, instance, asked.labellings, asked.reference)
+        row = measure(
+            name, instance, asked.labellings, asked.reference, asked.exploration
+        )
         rows.append(row)
         print(
             f"{instance.robots:8d} {len(instance.tasks):5d} {min(row.costs):9.3f} "
