@@ -19,7 +19,12 @@ from crazychoir.config.drone_room import fence_of
 from crazychoir.config.link_loss import TILT_TIMES, describe_crowding, fence_inset
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.config.tables import AGREED_KEYS
-from crazychoir.control.choice import FIRMWARE_GAIN_SENDERS, Controls, make_controls
+from crazychoir.control.choice import (
+    FIRMWARE_GAIN_SENDERS,
+    PLACE_SENDERS,
+    Controls,
+    make_controls,
+)
 from crazychoir.control.margin import Plant as PlantKind
 from crazychoir.control.position import FLATNESS_LIMITS
 from crazychoir.control.robots import ROBOT_CONTROLS, find_sender
@@ -39,7 +44,11 @@ from crazychoir.safety.airspace.airspace import Airspace, AirspaceRules
 from crazychoir.safety.airspace.airspace_frames import AirspaceFrames
 from crazychoir.safety.airspace.life_signs import find_heard_ns
 from crazychoir.safety.airspace.neighbours import Neighbours
-from crazychoir.safety.collision.agreed.path_limits import LOWEST_WAYPOINT, PathLimits
+from crazychoir.safety.collision.agreed.path_limits import (
+    LOWEST_WAYPOINT,
+    PLACE_SPEED,
+    PathLimits,
+)
 from crazychoir.safety.collision.agreed.planned import PlannedFlights
 from crazychoir.safety.collision.filter import CollisionFilter
 from crazychoir.safety.rules.guard import Fence, Guard
@@ -381,8 +390,12 @@ def _build_avoidance(
     v_max = flight.speed_limit
     ground = flight.ground
     if i in planners:
+        is_sent_places = config.control_of(i).sender in PLACE_SENDERS
         limits = PathLimits(
-            fence.with_floor(ground + LOWEST_WAYPOINT), a_max, v_max, ground
+            fence.with_floor(ground + LOWEST_WAYPOINT),
+            a_max,
+            min(v_max, PLACE_SPEED) if is_sent_places else v_max,
+            ground,
         )
         return PlannedFlights(port, config.collision, traffic, planners, limits)
     return CollisionFilter(

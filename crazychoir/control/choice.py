@@ -55,6 +55,8 @@ SENDERS_BY_KIND: dict[str, type[CommunicationHandler]] = {
 """The sender of each kind that a swarm file may name."""
 FIRMWARE_GAIN_SENDERS = ("vel", "xyz", "fullstate")
 """Senders that leave the gains to the firmware."""
+PLACE_SENDERS = ("xyz", "fullstate")
+"""Senders of places, to which the position control of the firmware flies."""
 
 
 @dataclass

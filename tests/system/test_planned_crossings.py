@@ -1,15 +1,18 @@
 """Drones that fly by their planners on board cross, whole and with downwash, while messages are lost in bursts."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from system.flights import fly
+from system.flights import TICK, fly, swarm_of
 
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.planning.minimum_snap import minimum_snap
+from crazychoir.safety.collision.agreed.path_limits import PLACE_SPEED
+from crazychoir.safety.collision.agreed.paths import PATH_SEARCH
 from crazychoir.types import FullState
 
 pytestmark = pytest.mark.system
@@ -150,6 +153,34 @@ def kept_clear(flights):
     assert nearest(flights) >= CLEAR
     assert arrived(flights) <= TIME
     assert all(flight.result["success"] for flight in flights.values())
+
+
+class FliesAlong(CFDistributedFeedback):
+    """A line of FullStates along x, evenly faster for 1.5 s, then at one speed."""
+
+    def __init__(self, speed):
+        self.speed, self.duration, self.steps = speed, 5.0, 0
+
+    def step(self, me, heard):
+        t = self.steps / self.rate
+        self.steps += 1
+        share = min(t / 1.5, 1.0)
+        ahead = self.speed * (0.5 * share * min(t, 1.5) + max(t - 1.5, 0.0))
+        a = self.speed / 1.5 if share < 1.0 else 0.0
+        return FullState.at(
+            np.array([ahead, 0.0, 1.0]),
+            np.array([share * self.speed, 0.0, 0.0]),
+            np.array([a, 0.0, 0.0]),
+        )
+
+
+def test_a_drone_that_is_sent_places_keeps_up_with_the_fastest_of_its_paths():
+    speed = PATH_SEARCH.speed_excess * PLACE_SPEED
+    mission = SimpleNamespace(guidance=lambda i, config: FliesAlong(speed))
+    flight = fly(swarm_of([("cf21", "xyz")], 0.0), mission)[0]
+    fast = np.array(flight.wanted)[:, 3] >= speed - 1e-6
+    assert TICK * fast.sum() > 3.0
+    assert np.linalg.norm(flight.errors[fast], axis=1).max() < 0.12
 
 
 @pytest.mark.slow

@@ -8,9 +8,11 @@ import numpy as np
 
 from crazychoir.numerics.math3d import UPWARD_AXIS
 from crazychoir.safety.collision.agreed.paths import (
+    PATH_SEARCH,
     compute_end_place,
     compute_motion,
     compute_path_duration,
+    find_peak_speed,
     is_outside_box,
     plan_braking,
     plan_flight,
@@ -47,6 +49,8 @@ class DetourChoices:
 DETOUR_CHOICES = DetourChoices()
 
 
+SPEED_TOLERANCE = 1e-6
+"""Difference in m/s between two equal speeds, for rounding."""
 RANDOM_WAYPOINT_MARGIN = np.array([0.9, 0.9, 1.0])
 """m, margin around the box of the straight path in which waypoints are drawn."""
 
@@ -85,7 +89,12 @@ class Detours:
     def options(
         self, start: Vec, aim: RestGoal, present: FlownPath, most: float
     ) -> list[PathOption]:
-        """Return all paths that cost less than `most` s and stay inside the fence.
+        """Return all paths that cost less than `most` s, are slow enough and stay inside the fence.
+
+        A drone falls behind a path that is too fast. No path has a larger peak speed than
+        PATH_SEARCH.speed_excess times v_max, or than the drone has at the beginning. Otherwise each new
+        path of a drone that accelerates could be faster than its last one. If the drone must leave
+        its present path, a path may also be as fast as the path to rest.
 
         They stay FENCE_INSET inside, unless the drone must leave its present path. A path may be
         nearer to the fence, or outside, if its goal is there, or if the rest of the present path is
@@ -96,13 +105,19 @@ class Detours:
         present: the present path
         most: s; infinite if the drone must leave its present path
         """
+        braking = plan_braking(start, self.a_max)
+        fastest = max(
+            PATH_SEARCH.speed_excess * self.v_max, float(np.linalg.norm(start[3:6]))
+        )
+        if most == math.inf:
+            fastest = max(fastest, find_peak_speed(braking))
         inset = FENCE_INSET if most < math.inf else 0.0
         inset_low = np.array(self.fence.low) + inset
         inset_high = np.array(self.fence.high) - inset
         allowed = [start[0:3], aim.goal]
         way, flown = present
         if is_outside_box(way, flown, inset_low, inset_high):
-            allowed.append(compute_end_place(plan_braking(start, self.a_max)))
+            allowed.append(compute_end_place(braking))
         places = np.array(allowed)
         low = np.minimum(places.min(axis=0), inset_low)
         low[2] = max(
@@ -113,7 +128,9 @@ class Detours:
         found = [
             option
             for option in (*self._straight(start, aim), *self._by_waypoints(start, aim))
-            if option.cost < most and not is_outside_box(option.way, 0.0, low, high)
+            if option.cost < most
+            and not is_outside_box(option.way, 0.0, low, high)
+            and find_peak_speed(option.way) <= fastest + SPEED_TOLERANCE
         ]
         return sorted(found, key=lambda option: option.cost)
 

@@ -105,5 +105,11 @@ def compute_hard_path_room(peak: float) -> float:
     return limits.hard_path_room * min(max(share, 0.0), 1.0)
 
 
+PLACE_SPEED = 0.85  # m/s
+"""Speed of flights among others of a drone that is sent places.
+
+The firmware asks for at most 1.1 m/s along each horizontal axis of the body. With the drag a simulated
+drone then flies at 0.9 m/s, and falls behind a faster path.
+"""
 LOWEST_WAYPOINT = 0.25
 """Height in m above the ground of waypoints."""

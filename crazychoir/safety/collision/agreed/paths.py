@@ -164,7 +164,7 @@ def _compute_excess(piece: Vec, v_max: float, a_max: float, at: Vec) -> float:
         fill_motion(way, piece[0] * n / PATH_SEARCH.samples, at)
         worst = max(
             worst,
-            _compute_length(at, 3) / (PATH_SEARCH.speed_excess * v_max),
+            _compute_length(at, 3) / v_max,
             _compute_length(at, 6) / (PATH_SEARCH.acceleration_excess * a_max),
         )
     return worst
@@ -192,6 +192,20 @@ def find_peak_sideways_acceleration(way: Mat) -> float:
     return worst
 
 
+@kernel(matrix)
+def find_peak_speed(way: Mat) -> float:
+    """Return the largest sampled speed on a path, m/s."""
+    at = np.zeros(12)
+    worst = 0.0
+    began = 0.0
+    for k in range(way.shape[0]):
+        for n in range(PATH_SEARCH.samples):
+            fill_motion(way, began + way[k, 0] * n / PATH_SEARCH.samples, at)
+            worst = max(worst, _compute_length(at, 3))
+        began += way[k, 0]
+    return worst
+
+
 @kernel(matrix, real, vector, vector)
 def is_outside_box(way: Mat, begins: float, low: Vec, high: Vec) -> bool:
     """Return whether a path leaves a box from a time on, checked every BOX_CHECK_STEP s.
@@ -214,10 +228,11 @@ def is_outside_box(way: Mat, begins: float, low: Vec, high: Vec) -> bool:
 
 @kernel(vector, vector, real, real, memory)
 def fill_flight(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -> None:
-    """Compute the piece that go_to on board makes of a motion and a goal at rest.
+    """Compute the piece from a motion to a goal at rest.
 
-    The planner on board does not know the jerk of the motion. The piece is as short as the limits
-    allow. From rest T = max(35/16 d / v_max, sqrt(84 sqrt(5) / 25 d / a_max)). Otherwise it is the
+    The piece is as short as the limits allow. It goes on with the jerk of the motion: if each new
+    piece of a drone that accelerates began without jerk, the drone would get faster and faster.
+    From rest T = max(35/16 d / v_max, sqrt(84 sqrt(5) / 25 d / a_max)). Otherwise it is the
     first of a growing series of durations with samples within the limits, or with the least excess.
     A start that is itself too fast counts as its own limit. So does a start with too much
     acceleration, or PATH_SEARCH.steep_start_limit a_max from PATH_SEARCH.steep_start a_max on.
@@ -228,10 +243,8 @@ def fill_flight(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -
     a_max: m/s2
     piece: (25,): the result
     """
-    begin = start.copy()
     end = np.zeros(12)
     at = np.zeros(12)
-    begin[9:12] = 0.0
     end[0:3] = goal
     d = _compute_length(end[0:3] - start[0:3], 0)
     t = max(
@@ -242,22 +255,22 @@ def fill_flight(start: Vec, goal: Vec, v_max: float, a_max: float, piece: Vec) -
     speed = _compute_length(start, 3)
     acceleration = _compute_length(start, 6)
     if speed + acceleration < 1e-6:
-        fill_connection(begin, end, t, piece)
+        fill_connection(start, end, t, piece)
         return
     longest = PATH_SEARCH.longest_duration * t + PEAK_DECELERATION * speed / a_max
     t = max(SHORTEST_FLIGHT, 0.5 * t)
-    v = max(v_max, speed)
+    v = max(PATH_SEARCH.speed_excess * v_max, speed)
     a = _compute_acceleration_limit(acceleration, a_max)
     best = t
     least = math.inf
     while t < longest and least > 1.0:
-        fill_connection(begin, end, t, piece)
+        fill_connection(start, end, t, piece)
         excess = _compute_excess(piece, v, a, at)
         if excess < least:
             best = t
             least = excess
         t *= PATH_SEARCH.duration_growth
-    fill_connection(begin, end, best, piece)
+    fill_connection(start, end, best, piece)
 
 
 @kernel(vector, real, memory)

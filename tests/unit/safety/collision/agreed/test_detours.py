@@ -1,4 +1,4 @@
-"""The ways among which a drone chooses stay inside the fence."""
+"""The ways among which a drone chooses stay inside the fence, and are slow enough."""
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ from crazychoir.safety.collision.agreed.paths import (
     compute_end_place,
     compute_motion,
     compute_path_duration,
+    find_peak_speed,
     plan_braking,
     plan_flight,
 )
@@ -98,3 +99,25 @@ def test_a_goal_below_the_fence_is_flown_to():
     found = options(np.array([0.0, 0.0, 1.0, *np.zeros(9)]), (0.0, 0.0, 0.05))
     assert compute_end_place(found[0].way) == pytest.approx([0.0, 0.0, 0.05])
     assert min(map(lowest, found)) >= 0.045
+
+
+def test_a_drone_that_often_changes_its_path_gets_no_faster():
+    """Each path begins anew while the drone still accelerates."""
+    goal = (2.8, 0.5, 1.5)
+    start = np.array([-2.0, 0.0, 1.0, 0.55, 0.05, 0.05, 0.75, *np.zeros(5)])
+    way, flown = plan_braking(start, 0.8), 0.0
+    for _ in range(20):
+        found = options(start, goal, (way, flown))
+        if found:
+            way, flown = found[0].way, 0.0
+        assert find_peak_speed(way) <= 1.06
+        flown += 0.1
+        start = compute_motion(way, flown)
+    assert start[0] > -0.5
+
+
+def test_a_drone_that_is_too_fast_gets_no_faster():
+    start = np.array([-2.0, 0.0, 1.0, 1.3, *np.zeros(8)])
+    found = options(start, (2.5, 0.0, 1.0))
+    assert len(found) > 3
+    assert max(find_peak_speed(option.way) for option in found) <= 1.3 + 1e-5
