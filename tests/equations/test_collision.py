@@ -6,6 +6,7 @@ import pytest
 from scipy.optimize import linprog
 
 from crazychoir.numerics.math3d import STANDARD_GRAVITY
+from crazychoir.safety.airspace.distances import BRAKING_MODEL, compute_silent_gap
 from crazychoir.safety.airspace.motion import predict_late_motion
 from crazychoir.safety.collision.barrier import (
     compute_barrier_acceleration,
@@ -155,3 +156,18 @@ def test_the_projection_is_that_of_a_quadratic_program_relaxed_in_order(seed):
     assert np.linalg.norm(out - x.value) < 3e-3
     assert np.linalg.norm(out - u) <= np.linalg.norm(x.value - u) + 1e-3
     assert np.all(wanted[:, :3] @ out >= wanted[:, 3] - 1e-5)
+
+
+@pytest.mark.parametrize(("v_max", "a_max"), [(1.0, 2.0), (3.0, 6.0), (1.0, 8.0)])
+def test_two_silent_drones_keep_room_for_both_to_stop(v_max, a_max):
+    """Each flies on at first, then brakes with the smaller of a_max and k v."""
+    h = 1e-4
+    v, flown = v_max, BRAKING_MODEL.response_time * v_max
+    while v > 1e-4 * v_max:
+        flown += h * v
+        v -= h * min(a_max, BRAKING_MODEL.gain * v)
+    assert compute_silent_gap(v_max, a_max) == pytest.approx(2.0 * flown, rel=2e-3)
+
+
+def test_slow_drones_keep_half_a_metre_from_a_silent_one():
+    assert compute_silent_gap(0.2, 2.0) == 0.5

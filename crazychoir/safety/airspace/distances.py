@@ -33,12 +33,24 @@ COLLISION_DISTANCES = CollisionDistances()
 def compute_silent_gap(v_max: float, a_max: float) -> float:
     """Return the distance in m between the ellipsoids of two drones below which one brakes for the other.
 
-    It does not hear the other one. Both may fly at each other, and each needs v_max^2 / (2 a_max).
+    It does not hear the other one. Both may fly at each other, and each needs
+
+        T v_max + v_max^2 / (2 a_max) + a_max / (2 k^2),   or T v_max + v_max / k if v_max < a_max / k
+
+    because it brakes with the smaller of a_max and k v. T is BRAKING_MODEL.response_time, and k is
+    BRAKING_MODEL.gain.
 
     v_max: m/s, largest speed
     a_max: m/s2, with which both brake
     """
-    return max(COLLISION_DISTANCES.silent_drone, v_max * v_max / a_max)
+    k = BRAKING_MODEL.gain
+    soft = min(v_max, a_max / k)  # m/s, speed at which k v = a_max
+    each = (
+        BRAKING_MODEL.response_time * v_max
+        + (v_max**2 - soft**2) / (2.0 * a_max)
+        + soft / k
+    )
+    return max(COLLISION_DISTANCES.silent_drone, 2.0 * each)
 
 
 class BrakingModel(NamedTuple):
@@ -56,6 +68,8 @@ class BrakingModel(NamedTuple):
     """
     gain: float = 4.0
     """Braking gain k in 1/s: the deceleration as a multiple of the speed."""
+    response_time: float = 0.1
+    """Seconds that a drone flies on until it brakes: command, attitude and rotors are late."""
     holding_speed: float = 0.2
     """Speed in m/s below which a braking drone stays where it is."""
 

@@ -7,7 +7,7 @@ from sky import Sky
 from crazychoir.bus.impairment.rules import ImpairmentRule, NetworkPartition
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.safety.airspace.airspace_rows import Missed
-from crazychoir.safety.airspace.distances import BRAKING_MODEL, COLLISION_DISTANCES
+from crazychoir.safety.airspace.distances import BRAKING_MODEL
 from crazychoir.safety.airspace.pair_tables import PairTables
 from crazychoir.safety.airspace.state_rates import (
     FIRST_NEWS_TIME,
@@ -22,7 +22,7 @@ def is_plainly_near(own, other, age, rules):
     """Return whether two states are near, from the equations alone."""
     apart = np.linalg.norm(rules["scale"] * (own[0:3] - other[0:3]))
     width, v_max = rules["width"], rules["v_max"]
-    gap = max(apart - width - COLLISION_DISTANCES.silent_drone, 0.0)
+    gap = max(apart - width - rules["silent_gap"], 0.0)
     age_limit = NEIGHBOUR_AGES.usable + gap / v_max
     if age >= NEIGHBOUR_AGES.gone or age > age_limit - RELAY_LEAD_TIME:
         return True
@@ -30,7 +30,7 @@ def is_plainly_near(own, other, age, rules):
     speed = np.linalg.norm(own[3:6] - other[3:6])
     meets = 2.0 * width + STATE_RATES.later * (speed + SPEED_ALLOWANCE)
     waits = STATE_RATES.long_wait - NEIGHBOUR_AGES.usable
-    brakes = width + COLLISION_DISTANCES.silent_drone + v_max * waits
+    brakes = width + rules["silent_gap"] + v_max * waits
     return apart - 2.0 * v_max * lasts < max(rules["range"], meets, brakes)
 
 
