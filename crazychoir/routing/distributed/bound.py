@@ -1,6 +1,7 @@
 """The lower bound that common prices prove, and how much a column costs above it."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +17,8 @@ from crazychoir.types import Vec
 
 ROBOT_COUNT_ROUNDING = 1e-6
 """A number of robots that exceeds a whole number by at most this counts as that number."""
+GAP_LEVELS = 16
+"""Number of gaps whose columns are counted at once."""
 
 
 @dataclass
@@ -74,6 +77,47 @@ def count_needed_robots(bound: Bound, member: RoutingMember) -> Exchange[int]:
         if longest > 0.0 and bound.exact
         else 0
     )
+
+
+def find_fitting_gap(
+    bound: Bound,
+    member: RoutingMember,
+    near: Callable[[float, float], list[RouteColumn] | None],
+    gaps: tuple[float, float],
+    most: int,
+) -> Exchange[float]:
+    """Return the widest gap within which all robots together have at most `most` columns.
+
+    near: the columns of this robot within a gap in m; None if there are more than a number.
+    gaps: m, the first gap to try, and the widest one that is useful.
+    Gaps are tried in steps of a factor of 2, and then in GAP_LEVELS equal parts of the last one.
+    Returns m; 0 if no gap fits.
+    """
+    gap, widest = gaps
+    fitting = 0.0
+    while gap > member.tolerance(bound.value):
+        levels = gap * np.arange(1, GAP_LEVELS + 1) / GAP_LEVELS
+        own = near(gap, most)
+        counts = None
+        if own is not None:
+            excess = np.sort([bound.excess(member.place.robot, c) for c in own])
+            counts = np.searchsorted(excess, levels, side="right")
+        told = yield from flood_values(
+            member.place.robot, counts, member.place.diameter
+        )
+        if any(known is None for known in told.values()):
+            if fitting:
+                return fitting
+            gap /= 2.0
+            continue
+        fits = np.sum(list(told.values()), axis=0) <= most
+        if not fits.all():
+            return max(fitting, float(levels[fits].max(initial=0.0)))
+        if gap >= widest:
+            return widest
+        fitting = gap
+        gap = min(2.0 * gap, widest)
+    return fitting
 
 
 def improve_bound(

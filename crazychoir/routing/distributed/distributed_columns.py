@@ -62,7 +62,8 @@ class DistributedColumns:
        is flooded, and all robots adopt it. Clusters are disjoint, so the results of any number of
        clusters fit together without locks. The plan in force is feasible after each pass.
        Passes go on while a given budget lasts; see clusters.py.
-    6. If step 3 was not possible and `prove` is set, large_bound.py computes a bound.
+    6. If step 3 was not possible and `prove` is set, large_bound.py computes a bound, and proof.py
+       searches the columns near it.
 
     If the budget is over, the robots skip what is left, and keep the plan in force.
 
@@ -122,8 +123,14 @@ class DistributedColumns:
             cost, _ = self._measure.measure_flight(i, tuple(self.routes[i]))
             plan.append((i, RouteColumn(weight + cost, tasks)))
         large = LargeBound(member, plan)
+        offer = self._offer()
         yield from large.run()
-        return self._assignment(large.value, large.relaxation)
+        if large.value is None or large.relaxation is not None or offer is None:
+            return self._assignment(large.value, large.relaxation)
+        proof = PlanProof(member, large.pool, large.bound, offer, large.halves)
+        yield from proof.search_few(member.settings.proof.large_nodes)
+        self._take_over(proof)
+        return self._assignment(proof.proven)
 
     @property
     def _left_out(self) -> Vec:
@@ -313,17 +320,12 @@ class DistributedColumns:
         if not is_better(worth, measure.compute_worth(self.routes)):
             return
         for i in self._robots:
-            self.routes[i] = self._shortest(i, proof.best.routes.get(i, ()))
+            self.routes[i] = _find_shortest_stops(
+                self._robots[i],
+                proof.best.routes.get(i, ()),
+                self._member.local.objective,
+            )
         self._report_cost()
-
-    def _shortest(self, i: int, tasks: tuple[int, ...]) -> list[int]:
-        """Return the stops of the shortest route of robot i that serves exactly these tasks."""
-        chosen = np.array(tasks, dtype=np.int64)
-        vehicle = restrict_problem(self._robots[i], chosen).vehicle
-        stops, _ = find_shortest_route(
-            vehicle, range(len(tasks)), self._member.local.objective
-        )
-        return rename_nodes(stops, chosen, self._m)
 
     def _assignment(
         self, bound: float | None, relaxation: str | None = None
@@ -349,6 +351,16 @@ class DistributedColumns:
             for i, stops in self.routes.items()
         }
         return {i: tasks for i, tasks in sorted(sets.items()) if tasks}
+
+
+def _find_shortest_stops(
+    problem: LocalProblem, tasks: tuple[int, ...], objective: tuple[str, ...]
+) -> list[int]:
+    """Return the stops of the robot's best route that serves exactly these tasks."""
+    chosen = np.array(tasks, dtype=np.int64)
+    vehicle = restrict_problem(problem, chosen).vehicle
+    stops, _ = find_shortest_route(vehicle, range(len(tasks)), objective)
+    return rename_nodes(stops, chosen, len(problem.tasks))
 
 
 def _flatten_routes(routes: Mapping[int, Sequence[int]]) -> list[Any]:

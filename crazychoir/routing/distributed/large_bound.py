@@ -9,7 +9,8 @@ import numpy as np
 
 from crazychoir.optimization.rounds.agreement import find_best_offer, flood_values
 from crazychoir.optimization.rounds.program import Exchange
-from crazychoir.routing.distributed.master import Master
+from crazychoir.routing.distributed.bound import Bound
+from crazychoir.routing.distributed.master import ColumnPool, Master
 from crazychoir.routing.distributed.member import RoutingMember
 from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
 from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
@@ -73,6 +74,9 @@ class LargeBound:
     plan: the known plan, a column for each robot that flies.
     `value`: m, None if there is no bound.
     `relaxation`: relaxation of the routes, None if they were priced exactly.
+    `bound`: the bound with its prices.
+    `pool`: the columns that all robots know, with the columns of the plan.
+    `halves`: the routes of this robot, None if it prices by the relaxation or not at all.
     Source: Wentges 1997, International Transactions in Operational Research 4(2), for the prices.
     """
 
@@ -83,7 +87,9 @@ class LargeBound:
         self._i = member.place.robot
         speaker = {i: same[0] for same in member.alike.values() for i in same}
         self._plan = [(speaker[i], column) for i, column in plan]
-        self._halves: HalfRoutes | None = None
+        self.halves: HalfRoutes | None = None
+        self.bound = Bound()
+        self.pool = ColumnPool(len(member.local.tasks))
         self.value: float | None = None
         self.relaxation: str | None = None
 
@@ -93,12 +99,13 @@ class LargeBound:
         settings = self._member.settings
         member.report(phase="bound")
         member.kind = "columns"
-        self._halves = self._listed()
+        self.halves = self._listed()
         master = Master(
             member.unserved, 0.0, {i: len(same) for i, same in member.alike.items()}
         )
         for robot, column in self._plan:
             master.add(robot, [column])
+            self.pool.add(robot, [column])
         best = -np.inf
         centre = self._start()
         pi = self._start()
@@ -125,6 +132,10 @@ class LargeBound:
             if value > best:
                 best = value
                 centre = pi
+                least = {i: float(known) for i, (known, _, _) in told.items()}
+                self.bound = Bound(value, pi, least=least)
+            for i, (_, _, columns) in told.items():
+                self.pool.add(i, unpack_columns(columns))
             new = sum(
                 master.add(i, unpack_columns(columns))
                 for i, (_, _, columns) in told.items()
@@ -181,8 +192,8 @@ class LargeBound:
         vehicle = member.local.vehicle
         batch = member.settings.columns.batch
         most = member.settings.columns.most_labels // 3
-        if self._halves is not None:
-            columns = self._halves.cheapest(pi, batch, 0.0)
+        if self.halves is not None:
+            columns = self.halves.cheapest(pi, batch, 0.0)
             values = [c.length - math.fsum(pi[list(c.tasks)]) for c in columns[:1]]
             return [min([0.0, *values]), True, pack_columns(columns)]
         if len(vehicle.servable) > MOST_TASKS:

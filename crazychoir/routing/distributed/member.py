@@ -152,6 +152,8 @@ class ProofSettings:
     """Branch-and-bound nodes, at most."""
     proof_nodes: int = 1_000_000
     """Branch-and-bound nodes if `prove`, at most."""
+    large_nodes: int = 300
+    """Branch-and-bound nodes of a team whose robots cannot list their routes, at most."""
 
 
 @dataclass(frozen=True)

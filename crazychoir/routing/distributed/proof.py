@@ -9,7 +9,7 @@ import numpy as np
 from crazychoir.errors import SolverError
 from crazychoir.optimization.rounds.agreement import find_best_offer, flood_values
 from crazychoir.optimization.rounds.program import Exchange
-from crazychoir.routing.distributed.bound import Bound
+from crazychoir.routing.distributed.bound import Bound, find_fitting_gap
 from crazychoir.routing.distributed.master import (
     ColumnPool,
     PartitionProblem,
@@ -20,8 +20,8 @@ from crazychoir.routing.distributed.master import (
 from crazychoir.routing.distributed.member import RoutingMember
 from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
 from crazychoir.routing.instance.plan import hash_json
-from crazychoir.routing.pricing.route_table import RouteColumn
-from crazychoir.types import Ints
+from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
+from crazychoir.routing.pricing.route_table import RouteColumn, RouteTable
 
 
 @dataclass(frozen=True)
@@ -68,6 +68,7 @@ class PlanProof:
     pool: the columns that all robots know.
     bound: the bound and its prices.
     best: the best plan that all robots know, None if there is none.
+    halves: the routes of this robot; None if its table lists them.
     `proven`, in m: no plan costs less.
     Raises SolverError if there is no plan, or if a plan arrives damaged.
     """
@@ -78,11 +79,19 @@ class PlanProof:
         pool: ColumnPool,
         bound: Bound,
         best: PlanOffer | None = None,
+        halves: HalfRoutes | None = None,
     ) -> None:
         self._member = member
         self._pool = pool
         self._bound = bound
         self.best = best
+        self._halves = halves
+        self._searchers = member.settings.proof.searchers
+        self._nodes = (
+            member.settings.proof.proof_nodes
+            if member.settings.proof.prove
+            else member.settings.proof.nodes
+        )
         self._i = member.place.robot
         self._diameter = member.place.diameter
         self._tolerance = member.tolerance(bound.value)
@@ -127,23 +136,53 @@ class PlanProof:
         for _ in range(settings.columns.passes):
             if self.best is not None and self._member.budget.is_over:
                 return
-            near = self._near(gap)
+            near = self._near(gap, most)
             if (yield from self._is_more(near, most)):
                 return
-            self._exhausted = yield from self._widen(near)
-            found = yield from self._agree(gap)
-            if found is not None:
-                self.proven = max(
-                    self.proven, min(found.searched, self._bound.value + gap)
-                )
-                self.best = (
-                    found
-                    if self.best is None or found.cost < self.best.cost
-                    else self.best
-                )
+            yield from self._search_columns(near or [], gap)
             if self.closed or self._exhausted or self._own_gap() <= gap:
                 return
             gap = min(2.0 * gap, self._own_gap())
+
+    def search_few(self, nodes: int) -> Exchange[None]:
+        """Search in the widest gap that has at most `most_proven` columns.
+
+        The search is repeated only if its plan makes the plan's own gap that narrow.
+        One robot searches, because a search may take minutes.
+
+        nodes: branch-and-bound nodes of a search, at most.
+        """
+        settings = self._member.settings
+        self._member.report(phase="plan")
+        self._member.kind = "columns"
+        self._nodes = nodes
+        self._searchers = 1
+        first = settings.proof.first_gap * max(1.0, abs(self._bound.value))
+        searched = 0.0
+        while not (self.closed or self._member.budget.is_over):
+            widest = self._own_gap()
+            gap = yield from find_fitting_gap(
+                self._bound,
+                self._member,
+                self._near,
+                (min(first, widest), widest),
+                settings.proof.most_proven,
+            )
+            if gap <= searched or (searched and gap < widest):
+                return
+            near = self._near(gap, settings.proof.most_proven)
+            yield from self._search_columns(near or [], gap)
+            searched = gap
+
+    def _search_columns(self, near: list[RouteColumn], gap: float) -> Exchange[None]:
+        """Flood the own columns `near`, and search for a plan of all columns within the gap."""
+        self._exhausted = yield from self._widen(near)
+        found = yield from self._agree(gap)
+        if found is None:
+            return
+        self.proven = max(self.proven, min(found.searched, self._bound.value + gap))
+        if self.best is None or found.cost < self.best.cost:
+            self.best = found
 
     def _own_gap(self) -> float:
         """Return the gap in m that suffices: columns beyond it cannot improve the best plan."""
@@ -163,21 +202,29 @@ class PlanProof:
             return f"infeasible: no plan serves every task; {why}", "infeasible"
         return "no plan found within the passes and nodes", "incomplete"
 
-    def _near(self, gap: float) -> Ints:
-        """Return the own columns within the gap, by their numbers in the table."""
-        if not self._member.speaks:
-            return np.zeros(0, np.int64)
-        cost = self._member.table.reduced_costs(self._bound.prices, self._bound.reward)
-        return np.flatnonzero(cost < self._bound.least[self._i] + gap)
+    @property
+    def _routes(self) -> RouteTable | HalfRoutes:
+        """The routes of this robot; a table is computed at its first use."""
+        return self._member.table if self._halves is None else self._halves
 
-    def _is_more(self, near: Ints, most: float) -> Exchange[bool]:
+    def _near(self, gap: float, most: float) -> list[RouteColumn] | None:
+        """Return the own columns within the gap, None if there are more than `most`."""
+        if not self._member.speaks:
+            return []
+        below = self._bound.least[self._i] + gap
+        return self._routes.within(self._bound.prices, below, most, self._bound.reward)
+
+    def _is_more(self, near: list[RouteColumn] | None, most: float) -> Exchange[bool]:
         """Return whether all robots together have more than `most` columns within the gap."""
         if most == np.inf:
             return False
-        counts = yield from flood_values(self._i, len(near), self._diameter)
-        return bool(sum(counts.values()) > most)
+        own = None if near is None else len(near)
+        counts = yield from flood_values(self._i, own, self._diameter)
+        return any(count is None for count in counts.values()) or bool(
+            sum(counts.values()) > most
+        )
 
-    def _widen(self, near: Ints) -> Exchange[bool]:
+    def _widen(self, near: list[RouteColumn]) -> Exchange[bool]:
         """Flood the columns `near`, a part at a time.
 
         Returns whether no robot has any column beyond them.
@@ -191,9 +238,8 @@ class PlanProof:
                 settings.columns.most_relayed // member.place.robots,
             ),
         )
-        columns = [member.table.column(int(c)) for c in near]
-        exhausted = not member.speaks or len(near) == len(member.table)
-        fresh = [c for c in columns if c.tasks and not self._pool.has(self._i, c)]
+        exhausted = not member.speaks or len(near) == self._routes.size
+        fresh = [c for c in near if not self._pool.has(self._i, c)]
         while True:
             own = [pack_columns(fresh[:most]), len(fresh) <= most, exhausted]
             known = yield from flood_values(self._i, own, self._diameter)
@@ -231,10 +277,13 @@ class PlanProof:
         others offer None. A searcher that hits a limit without finding a plan offers None too.
         """
         settings = self._member.settings
+        planned = set() if self.best is None else set(self.best.routes.values())
         useful = [
-            (i, c) for i, c in self._pool.items() if self._bound.excess(i, c) <= gap
+            (i, c)
+            for i, c in self._pool.items()
+            if self._bound.excess(i, c) <= gap or c.tasks in planned
         ]
-        if len(useful) > settings.proof.small and self._i >= settings.proof.searchers:
+        if len(useful) > settings.proof.small and self._i >= self._searchers:
             return None
         if self.best is not None and self._member.budget.is_spent:
             return None
@@ -245,18 +294,17 @@ class PlanProof:
             if self.best is None
             else self._with_refusals(self.best.routes, refusals)
         )
-        nodes = (
-            settings.proof.proof_nodes if settings.proof.prove else settings.proof.nodes
-        )
         weight = self._member.vehicle_weight
         problem = PartitionProblem(
             useful, len(self._member.local.tasks), self._member.alike
         )
         if weight:
             least = self._member.least_vehicles(self._bound.value)
-            found = find_fewest_columns(problem, self._i, nodes, weight, least, known)
+            found = find_fewest_columns(
+                problem, self._i, self._nodes, weight, least, known
+            )
         else:
-            found = find_partition(problem, self._i, nodes, known)
+            found = find_partition(problem, self._i, self._nodes, known)
         if found.cost == np.inf and found.bound < np.inf:
             return None
         robots = self._member.place.robots

@@ -1,6 +1,6 @@
 """Exact pricing of too many limited routes: list halves of routes and join them."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,6 +14,11 @@ from crazychoir.types import Ints, Mat, Vec, Words
 
 MOST_HALF_LABELS = 3_000_000
 """Largest number of labels of one half."""
+MOST_PAIRS_OF_SET = 16
+"""Largest number of pairs of halves that are listed for each column that is asked for.
+
+Many pairs make routes with the same tasks, often some ten of them.
+"""
 
 
 class _HalfLabels(NamedTuple):
@@ -56,10 +61,13 @@ class HalfRoutes:
     vehicle: the robot.
     most: labels of each half, at most.
     `complete`: whether each half had at most `most` labels.
+    `size`: number of columns without the idle one; inf, because it is not known.
     Raises InstanceError if the robot could serve more than MOST_TASKS tasks.
     Source: Righini & Salani 2006, Discrete Optimization 3(3), bounded bidirectional dynamic
     programming.
     """
+
+    size = np.inf
 
     def __init__(self, vehicle: Vehicle, most: int = MOST_HALF_LABELS) -> None:
         self._servable = vehicle.servable
@@ -96,6 +104,34 @@ class HalfRoutes:
                 found[tasks] = RouteColumn(self._length(a, b), tasks)
         return list(found.values())
 
+    def within(
+        self, prices: Vec, below: float, most: float, reward: float = 0.0
+    ) -> list[RouteColumn] | None:
+        """Return all columns but the idle one with a reduced cost below `below`.
+
+        Returns None if there are more than `most`, or if very many pairs of halves have equal tasks.
+
+        prices: (M,) m.
+        below: m.
+        most: columns, at most; finite.
+        reward: m, subtracted from the reduced cost of each column.
+        """
+        if not len(self._there.length):
+            return []
+        room = MOST_PAIRS_OF_SET * int(most)
+        sides = self._select(prices, below + reward - self._vehicle.fixed)
+        first, second = _list_pairs(room, *sides)
+        if len(first) > room:
+            return None
+        found: dict[tuple[int, ...], float] = {}
+        for a, b in zip(first.tolist(), second.tolist(), strict=True):
+            words = self._there.keys[a, :2] | self._back.keys[b, :2]
+            tasks = tuple(self._servable[list_bits(words)].tolist())
+            found[tasks] = min(found.get(tasks, np.inf), self._length(a, b))
+        if len(found) > most:
+            return None
+        return [RouteColumn(length, tasks) for tasks, length in sorted(found.items())]
+
     def _length(self, a: int, b: int) -> float:
         """Return the length in m of the route of halves a and b, with the fixed cost.
 
@@ -119,12 +155,18 @@ class HalfRoutes:
 
         An entry is (reduced cost without the fixed cost, half a, half b).
         """
+        if not len(self._there.length):
+            return []
+        best, a, b = _join_halves(*self._select(prices, below))
+        order = [int(g) for g in np.argsort(best, kind="stable") if a[g] >= 0]
+        return [(float(best[g]), int(a[g]), int(b[g])) for g in order]
+
+    def _select(self, prices: Vec, below: float) -> tuple[Any, ...]:
+        """Return the arguments of `_join_halves`: halves that can be part of a route below `below`."""
         own = prices[self._servable]
         v = self._vehicle
         there = self._there
         back = self._back
-        if not len(there.length):
-            return []
         sums = _sum_prices(own)
         one = there.length - _price_labels(there.keys, sums, False)
         two = back.length - _price_labels(back.keys, sums, True)
@@ -132,7 +174,7 @@ class HalfRoutes:
         least_back = np.minimum.reduceat(two, back.start[:-1])
         first, start = _select_promising(one, least_back, there.start, below)
         second, start_back = _select_promising(two, least, back.start, below)
-        best, a, b = _join_halves(
+        return (
             first,
             second,
             start,
@@ -149,8 +191,6 @@ class HalfRoutes:
             v.limit + ROUNDING_SLACK,
             below,
         )
-        order = [int(g) for g in np.argsort(best, kind="stable") if a[g] >= 0]
-        return [(float(best[g]), int(a[g]), int(b[g])) for g in order]
 
 
 def _compute_half_labels(v: Vehicle, most: int) -> tuple[_HalfLabels, bool]:
@@ -257,6 +297,20 @@ def _price_labels(keys: Words, sums: Mat, besides: bool) -> Vec:
 
 
 @kernel(nogil=True)
+def _is_route(keys: Words, i: int, keys_back: Words, k: int) -> bool:
+    """Return whether halves i and k fit: the same on board, no other task in common, some task."""
+    if keys[i, 2] != keys_back[k, 2] or keys[i, 3] != keys_back[k, 3]:
+        return False
+    if (
+        keys[i, 0] & keys_back[k, 0] != keys[i, 2]
+        or keys[i, 1] & keys_back[k, 1] != keys[i, 3]
+    ):
+        return False
+    tasks = keys[i, 0] | keys[i, 1] | keys_back[k, 0] | keys_back[k, 1]
+    return bool(tasks != 0)
+
+
+@kernel(nogil=True)
 def _join_halves(
     first: Ints,
     second: Ints,
@@ -290,14 +344,7 @@ def _join_halves(
                 k = second[q]
                 if one[i] + two[k] >= best[g]:
                     break
-                if keys[i, 2] != keys_back[k, 2] or keys[i, 3] != keys_back[k, 3]:
-                    continue
-                if (
-                    keys[i, 0] & keys_back[k, 0] != keys[i, 2]
-                    or keys[i, 1] & keys_back[k, 1] != keys[i, 3]
-                ):
-                    continue
-                if keys[i, 0] | keys[i, 1] | keys_back[k, 0] | keys_back[k, 1] == 0:
+                if not _is_route(keys, i, keys_back, k):
                     continue
                 way = distance[at[i], at_back[k]]
                 if (
@@ -308,3 +355,51 @@ def _join_halves(
                     a[g] = i
                     b[g] = k
     return best, a, b
+
+
+@kernel(nogil=True)
+def _list_pairs(
+    most: int,
+    first: Ints,
+    second: Ints,
+    start: Ints,
+    start_back: Ints,
+    one: Vec,
+    two: Vec,
+    keys: Words,
+    keys_back: Words,
+    length: Vec,
+    length_back: Vec,
+    at: Ints,
+    at_back: Ints,
+    distance: Mat,
+    limit: float,
+    below: float,
+) -> tuple[Ints, Ints]:
+    """Return the halves of all routes with a reduced cost below `below`, (n,) each.
+
+    It stops after most + 1 pairs. The other arguments are those of `_join_halves`.
+    """
+    a = np.empty(most + 1, np.int64)
+    b = np.empty(most + 1, np.int64)
+    n = 0
+    for g in range(len(start) - 1):
+        for p in range(start[g], start[g + 1]):
+            i = first[p]
+            for q in range(start_back[g], start_back[g + 1]):
+                k = second[q]
+                if one[i] + two[k] >= below:
+                    break
+                if not _is_route(keys, i, keys_back, k):
+                    continue
+                way = distance[at[i], at_back[k]]
+                if (
+                    one[i] + way + two[k] < below
+                    and length[i] + way + length_back[k] <= limit
+                ):
+                    a[n] = i
+                    b[n] = k
+                    n += 1
+                    if n > most:
+                        return a, b
+    return a[:n], b[:n]

@@ -123,6 +123,28 @@ class RouteTable:
         best = candidates[np.argsort(cost[candidates], kind="stable")[:count]]
         return [self.column(int(c)) for c in best]
 
+    @property
+    def size(self) -> int:
+        """Number of columns without the idle one."""
+        return int(np.count_nonzero(np.diff(self.start)))
+
+    def within(
+        self, prices: Vec, below: float, most: float = np.inf, reward: float = 0.0
+    ) -> list[RouteColumn] | None:
+        """Return all columns but the idle one with a reduced cost below `below`.
+
+        Returns None if there are more than `most`.
+
+        prices: (M,) m.
+        below: m.
+        most: columns, at most.
+        reward: m, subtracted from the reduced cost of each column.
+        """
+        near = (self.reduced_costs(prices, reward) < below) & (np.diff(self.start) > 0)
+        if np.count_nonzero(near) > most:
+            return None
+        return [self.column(int(c)) for c in np.flatnonzero(near)]
+
     def least(self, prices: Vec, reward: float = 0.0) -> float:
         """Return the least reduced cost; at most 0, which is that of the idle column."""
         return float(self.reduced_costs(prices, reward).min())

@@ -45,6 +45,31 @@ def test_the_least_of_all_routes_is_found(kind, seed, worth, far):
         assert halves.cheapest(prices, 4, table.least(prices) - 1e-6) == []
 
 
+@pytest.mark.parametrize("kind", ["limit", "open limit", "matrix limit"])
+@settings(max_examples=15, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.sampled_from([0.0, 5.0, 30.0]),
+    st.sampled_from([0.6, 1.6]),
+)
+def test_halves_list_the_same_routes_near_the_best_as_the_table(kind, seed, gap, far):
+    v = vehicle_of(seed, 6, kind)
+    v = replace(v, limit=far * v.limit)
+    prices = np.random.default_rng(seed).uniform(-0.2, 1.0, size=6) * 8.0
+    table, halves = RouteTable(v), HalfRoutes(v)
+    below = table.least(prices, 0.5) + gap
+    expected = {c.tasks: c.length for c in table.within(prices, below, reward=0.5)}
+    most = len(expected)
+    found = halves.within(prices, below, max(1, 40 * most), reward=0.5)
+    assert {c.tasks: c.length for c in found} == pytest.approx(expected, abs=1e-9)
+    assert () not in expected
+    if most:
+        assert halves.within(prices, below, most - 1, reward=0.5) is None
+        assert table.within(prices, below, most - 1, reward=0.5) is None
+    if gap == 30.0 and table.size == most:
+        assert len(table) == most + 1
+
+
 def test_the_length_of_a_column_is_that_of_its_halves_at_any_prices():
     vehicle = (
         random_instance(4, 10, 3, InstanceShape(route_length_limit=25.0))
