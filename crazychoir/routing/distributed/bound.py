@@ -18,7 +18,7 @@ from crazychoir.types import Vec
 ROBOT_COUNT_ROUNDING = 1e-6
 """A number of robots that exceeds a whole number by at most this counts as that number."""
 GAP_LEVELS = 16
-"""Number of gaps whose columns are counted at once."""
+"""Number of gaps that are counted at once."""
 
 
 @dataclass

@@ -153,7 +153,7 @@ class ProofSettings:
     proof_nodes: int = 1_000_000
     """Branch-and-bound nodes if `prove`, at most."""
     large_nodes: int = 300
-    """Branch-and-bound nodes of a team whose robots cannot list their routes, at most."""
+    """Branch-and-bound nodes if the robots list halves of routes, at most."""
 
 
 @dataclass(frozen=True)
