@@ -89,7 +89,7 @@ def find_fitting_gap(
     """Return the widest gap within which all robots together have at most `most` columns.
 
     near: the columns of this robot within a gap in m; None if there are more than a number.
-    gaps: m, the first gap to try, and the widest one that is useful.
+    gaps: m, the first gap to try, and the widest useful gap.
     Gaps are tried in steps of a factor of 2, and then in GAP_LEVELS equal parts of the last one.
     Returns m; 0 if no gap fits.
     """
