@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 
 from crazychoir.errors import ConfigError
-from crazychoir.guidance.mission import import_from_file
 from crazychoir.guidance.user_hook import Hook
 from crazychoir.optimization.algorithms.admm import ADMM
 from crazychoir.optimization.algorithms.compressed.choco import ChocoSGD, ChocoSteps
@@ -40,6 +39,7 @@ from crazychoir.optimization.problems.composite import CompositeCost
 from crazychoir.optimization.problems.gradient import Gradient, Samples
 from crazychoir.optimization.problems.shared_problem import PROBLEM_SHAPE, SharedProblem
 from crazychoir.optimization.rounds.step_size import Diminishing
+from crazychoir.runtime.user_module import import_from_file
 from crazychoir.team.graph import Graph, Weights, metropolis
 from crazychoir.types import Vec
 
