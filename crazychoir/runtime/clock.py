@@ -28,6 +28,10 @@ from crazychoir.runtime.worker_thread import Worker, is_inside_loop
 T = TypeVar("T")
 NS_PER_SECOND = 1_000_000_000
 """Nanoseconds in a second."""
+NS_PER_MS = 1_000_000
+"""Nanoseconds in a millisecond."""
+MS_PER_SECOND = 1000
+"""Milliseconds in a second."""
 LIVELOCK_PASSES = 100_000
 """Loop passes at one instant of virtual time that count as a livelock."""
 
@@ -129,6 +133,12 @@ class Clock:
         alarm = Alarm(callback, args)
         self.push(when_ns, alarm, priority, drone)
         return alarm
+
+    def call_about(
+        self, when_ns: int, callback: Callable[[], object], drone: int = -1
+    ) -> Alarm | asyncio.TimerHandle:
+        """Do the same as `call_at`; in real time the call may be 2 ms late, and costs much less."""
+        return self.call_at(when_ns, callback, drone=drone)
 
     def find_last_tick(self, period_ns: int) -> int:
         """Return the time of the last aligned tick, ns: not after now, and less than a period ago.
@@ -328,6 +338,7 @@ class WallClock(Clock):
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         super().__init__()
         self._loop = loop
+        self.future = loop.create_future  # type: ignore[method-assign]
         self._fd = Timerfd()
         self._start_ns = time.monotonic_ns()
         self.epoch_ns = time.time_ns() - self._start_ns
@@ -339,6 +350,14 @@ class WallClock(Clock):
 
     # Without a Python frame of its own: it is called very often.
     now_ns = staticmethod(time.monotonic_ns)
+
+    def call_about(
+        self, when_ns: int, callback: Callable[[], object], drone: int = -1
+    ) -> Alarm | asyncio.TimerHandle:
+        """Let the event loop call, without the timer: to set that is expensive."""
+        # The loop counts whole ms, from a time that may be a ms ago.
+        wait_ms = 1 - (time.monotonic_ns() - when_ns) // NS_PER_MS
+        return self._loop.call_later(max(0, wait_ms) / MS_PER_SECOND, callback)
 
     def find_last_tick(self, period_ns: int) -> int:
         """Return the last time up to now that is whole periods after the creation of this clock, ns."""

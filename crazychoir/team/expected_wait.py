@@ -54,8 +54,10 @@ LOSS_WEIGHT: Final = 1 / 32
 """Weight of a new wait in the share of the waits with losses."""
 LOSSY_SHARE: Final = 0.1
 """Share of the waits with losses from which on a round is sent again after the shortest time."""
-NO_LOSS_SHARE: Final = 0.001
-"""Share of the waits with losses that counts as none."""
+NO_LOSS_SHARE: Final = 1e-6
+"""Share of the waits with losses that counts as none, some 300 rounds after a loss."""
+UNPROVEN_SHARE: Final = 1e-4
+"""Share of the waits with losses of a channel that knows nothing: it counts as none after 150 rounds."""
 
 
 @dataclass(eq=False, slots=True)
@@ -66,7 +68,7 @@ class ExpectedWait:
     """Seconds: smoothed wait without losses."""
     deviation: float = 0.0
     """Seconds: smoothed distance of the waits from their mean."""
-    lost_share: float = 0.0
+    lost_share: float = UNPROVEN_SHARE
     """Smoothed share of the waits with a message that arrived only when it was sent again."""
 
     def learn(self, seconds: float) -> None:

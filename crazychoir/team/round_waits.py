@@ -49,6 +49,12 @@ LONGEST_UNCHECKED: Final = 50_000_000
 
 A check also finds that a neighbour is lost, has ended the channel, or has said that it stops.
 """
+UNHURRIED_CHECK: Final = 30_000_000
+"""ns: time from the start of a wait to its first check, where no message was lost for a long time.
+
+A check wakes the process. Of many processes on a host, each would be woken by a check every few
+rounds only to find that nothing is late.
+"""
 EARLIEST_RESEND: Final = int(NS_PER_SECOND * RESEND_TIMES.shortest)
 """ns: shortest time from the start of a wait to a resend."""
 
@@ -70,7 +76,7 @@ class RoundWaits:
         self._now_ns = self._clock.now_ns
         self._made_ns = self._now_ns()
         self._waiting: list[Channel] = []
-        self._alarm: Alarm | None = None
+        self._alarm: Alarm | asyncio.TimerHandle | None = None
         self._due_ns = 0
 
     def require_present(self, drones: Iterable[int]) -> None:
@@ -120,15 +126,12 @@ class RoundWaits:
         wait.attempts_before = wait.attempt
         wait.resend_ns = 0
         wait.ended_by = NO_MESSAGE
-        earliest_ns = now_ns + EARLIEST_RESEND
-        earliest_ns += -earliest_ns % CHECK_GRID
-        if (
-            self._alarm is None
-            or self._due_ns > earliest_ns
-            or self._due_ns > deadline_ns
-        ):
-            wait.plan_resend()
-            self._check_at(find_check_ns(wait, now_ns))
+        first_ns = now_ns + (
+            EARLIEST_RESEND if wait.expected.lost_share else UNHURRIED_CHECK
+        )
+        first_ns += -first_ns % CHECK_GRID
+        if self._alarm is None or self._due_ns > first_ns or self._due_ns > deadline_ns:
+            self._check_at(min(first_ns, deadline_ns))
         return waiter
 
     def _leave_out_silent(
@@ -152,7 +155,7 @@ class RoundWaits:
                 return
             self._alarm.cancel()
         self._due_ns = due_ns
-        self._alarm = self._clock.call_at(due_ns, self._check, drone=self._id)
+        self._alarm = self._clock.call_about(due_ns, self._check, self._id)
 
     def _check(self) -> None:
         """Check the waiting channels: fail those with a lost neighbour or
@@ -161,11 +164,13 @@ class RoundWaits:
         self._alarm = None
         now_ns = self._now_ns()
         for ch in self._waiting:
-            if is_waiting(ch.wait):
-                ch.wait.plan_resend()
+            wait = ch.wait
+            first_ns = min(wait.since_ns + EARLIEST_RESEND, wait.deadline_ns)
+            if now_ns >= first_ns and is_waiting(wait):
+                wait.plan_resend()
                 self._check_wait(ch, now_ns)
-            if is_waiting(ch.wait):
-                self._check_at(find_check_ns(ch.wait, now_ns))
+            if is_waiting(wait):
+                self._check_at(find_check_ns(wait, now_ns))
 
     def _check_wait(self, ch: Channel, now_ns: int) -> None:
         """Check one waiting channel."""
@@ -255,5 +260,10 @@ class RoundWaits:
 
 def find_check_ns(wait: RoundWait, now_ns: int) -> int:
     """Return the time of the next check of a wait, in ns."""
-    due_ns = min(wait.resend_ns, now_ns + LONGEST_UNCHECKED)
+    if wait.resend_ns:
+        due_ns = min(wait.resend_ns, now_ns + LONGEST_UNCHECKED)
+    elif wait.expected.lost_share:
+        due_ns = wait.since_ns + EARLIEST_RESEND
+    else:
+        due_ns = wait.since_ns + UNHURRIED_CHECK
     return min(wait.deadline_ns, due_ns + -due_ns % CHECK_GRID)

@@ -521,3 +521,18 @@ def test_after_the_exit_of_a_task_the_other_alarms_of_that_instant_still_run():
     with pytest.raises(SystemExit):
         run_wall(main)
     assert seen == ["ran"]
+
+
+@pytest.mark.real_time
+def test_a_call_about_a_time_is_never_early_and_may_be_cancelled():
+    async def main(clock):
+        came = []
+        due_ns = clock.now_ns() + 5_300_000
+        clock.call_about(due_ns, lambda: came.append(clock.now_ns()))
+        clock.call_about(due_ns, lambda: came.append(0)).cancel()
+        await asyncio.sleep(0.1)
+        return came, due_ns
+
+    came, due_ns = run_wall(main)
+    assert len(came) == 1
+    assert came[0] >= due_ns

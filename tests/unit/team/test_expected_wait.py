@@ -45,7 +45,7 @@ def test_one_long_wait_is_not_learned():
 
 
 def test_resends_never_wait_longer_than_the_longest_time():
-    expected = ExpectedWait()
+    expected = ExpectedWait(lost_share=0.0)
     for _ in range(200):
         expected.learn(50.0)
     assert expected.find_first_resend() == RESEND_TIMES.longest_first
@@ -61,7 +61,7 @@ def test_the_time_between_resends_doubles():
 
 
 def test_losses_shorten_the_time_before_a_resend():
-    expected = ExpectedWait()
+    expected = ExpectedWait(lost_share=0.0)
     for _ in range(30):
         expected.learn(0.3)
     calm = expected.find_first_resend()
@@ -384,3 +384,52 @@ def test_a_drone_that_need_not_wait_is_not_late():
         return here.open("main").wait.own_lateness
 
     assert run_virtual(main) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("lost_share", "earliest", "latest"), [(0.0, 0.03, 0.035), (0.001, 0.01, 0.02)]
+)
+def test_a_wait_is_checked_later_where_no_message_was_lost_for_long(
+    lost_share, earliest, latest
+):
+    async def main(clock: Clock) -> list[float]:
+        c = Communicator(Bus(clock).port(0), graphs.path(2))
+        c.open("main").wait.expected.lost_share = lost_share
+        sent: list[float] = []
+
+        def send(message, to, *more):
+            if message.flags & KIND_MASK == MessageKind.REPEAT:
+                sent.append(clock.now())
+
+        c.port.send = send  # type: ignore[method-assign, assignment]
+        with pytest.raises(RoundTimeout):
+            await c.neighbors_exchange(None, deadline=0.1)
+        return sent
+
+    assert earliest <= run_virtual(main)[0] <= latest
+
+
+def test_rounds_without_losses_wake_the_process_seldom():
+    async def main(clock: Clock) -> int:
+        bus = Bus(clock)
+        team = [Communicator(bus.port(i), graphs.path(2)) for i in range(2)]
+        for c in team:
+            c.open("main").wait.expected.lost_share = 0.0
+        checks: list[float] = []
+        call_about = clock.call_about
+
+        def count(when_ns, callback, drone=-1):
+            checks.append(when_ns)
+            return call_about(when_ns, callback, drone)
+
+        clock.call_about = count  # type: ignore[method-assign]
+
+        async def exchange(c: Communicator) -> None:
+            while clock.now() < 1.0:
+                await clock.sleep(0.001)
+                await c.neighbors_exchange(None)
+
+        await asyncio.gather(*map(exchange, team))
+        return len(checks)
+
+    assert run_virtual(main) <= 2 * 36
