@@ -72,7 +72,7 @@ PAPER = ("bench", "paper", "--quick", "--out")
 COMPUTATIONS = (
     "crazychoir.solve.solving.solve_here",
     "crazychoir.solve.simulate.simulate",
-    "crazychoir.launch.flight.fly_fast",
+    "crazychoir.api.flying.fly_fast",
     "crazychoir.radio.survey.survey.run_survey",
     "crazychoir.bench.paper.ablation.run",
 )
