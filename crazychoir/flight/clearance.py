@@ -6,6 +6,7 @@ from typing import NamedTuple
 from crazychoir.flight.batch import DroneRow
 from crazychoir.flight.point_flights import FLIGHT_PATIENCE, PointFlights
 from crazychoir.numerics.math3d import yaw_of
+from crazychoir.planning.landing import FlightLegs
 from crazychoir.planning.point_to_point import PointToPoint
 from crazychoir.safety.collision.agreed.path_choice import FutureReference
 from crazychoir.safety.collision.agreed.planned import PlannedFlights
@@ -176,8 +177,9 @@ class Clearance:
         flights = self.flights
         plan = flights.plan
         whole = flights.remaining(now) if isinstance(plan, PointToPoint) else 0.0
+        may_be_late = lands or isinstance(plan, (PointToPoint, FlightLegs))
         waits = flights.waited < FLIGHT_PATIENCE.longest_wait and (
-            isinstance(plan, PointToPoint)
+            may_be_late
             or self._reference_waited < CLEARANCE_TIMES.reference_wait
             or flights.remaining(now) < CLEARANCE_TIMES.reference_end
         )
@@ -192,7 +194,8 @@ class Clearance:
             flights.wait(
                 planned.agreement.left(now) - whole if arrives else self.period
             )
-            self._reference_waited += self.period
+            if not may_be_late:
+                self._reference_waited += self.period
         return flown
 
     def agreed(
