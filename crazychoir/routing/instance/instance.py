@@ -150,6 +150,10 @@ class Tasks:
     def _durations(self) -> WeakValueDictionary[float, Mat]:
         return WeakValueDictionary()
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields alone: another process measures the distances itself."""
+        return {f.name: getattr(self, f.name) for f in fields(self)}
+
 
 @dataclass(frozen=True, eq=False)
 class LocalProblem:

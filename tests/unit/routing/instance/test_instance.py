@@ -1,5 +1,6 @@
 import json
 import math
+import pickle
 from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from crazychoir.errors import ConfigError, InstanceError
 from crazychoir.routing.distributed.plain_loop import solve_in_loop
 from crazychoir.routing.instance.fields import INSTANCE_KEYS
+from crazychoir.routing.instance.generate import random_instance
 from crazychoir.routing.instance.instance import Instance
 
 GOOD = {
@@ -447,3 +449,10 @@ def test_plans_are_compared_by_refusals_of_each_priority_then_by_cost(rows):
             plans.append((ranked, flown + sum(tasks.refusal[j] for j in refused)))
     plans.sort()
     assert all(a[1] <= b[1] + 1e-9 * b[1] for a, b in pairwise(plans))
+
+
+def test_an_instance_and_a_problem_go_to_another_process_after_their_use():
+    local = random_instance(2, 3, seed=0).local(0)
+    duration = local.vehicle.duration
+    copy = pickle.loads(pickle.dumps(local))  # noqa: S301 - its own bytes
+    assert copy.vehicle.duration.tolist() == duration.tolist()
