@@ -76,12 +76,13 @@ def launch(
         raise
     if run.has_ended():
         launched.close()
-        _check_success(launched.result or {})
+        _check_success(launched.result)
     return launched
 
 
-def _check_success(result: Mapping[str, Any]) -> None:
+def _check_success(result: Mapping[str, Any] | None) -> None:
     """Raise ProcessFailed for a run that has ended without success, before its drones could be told anything."""
-    if not result["success"]:
-        reasons = "; ".join(result["reasons"].values())
-        raise ProcessFailed("the run", result["reason"] or reasons)
+    if result is not None and not result["success"]:
+        reasons = "; ".join(result.get("reasons", {}).values())
+        why = result.get("reason") or result.get("error") or reasons
+        raise ProcessFailed("the run", why)

@@ -14,6 +14,7 @@ class FailingSwarm:
     """A swarm that gets neither ready nor accepts that it lands, and the run that it flies in."""
 
     ids = (0, 1)
+    said = {"reason": None, "reasons": {"1": "drone 1: the cameras do not see it"}}  # noqa: RUF012
     file = "swarm.json"
 
     def __init__(self, lands, ends_early=False):
@@ -40,8 +41,7 @@ class FailingSwarm:
 
     def end(self):
         self.is_ended = True
-        reasons = {"1": "drone 1: the cameras do not see it"}
-        return {"success": False, "reason": None, "reasons": reasons}
+        return {"success": False, **self.said}
 
 
 def test_run_ends_although_its_landing_fails():
@@ -64,11 +64,17 @@ def test_launched_run_that_does_not_get_ready_is_ended(monkeypatch):
     assert failing.is_ended
 
 
-def test_launched_run_that_ends_before_it_is_ready_says_why(monkeypatch):
+@pytest.mark.parametrize(
+    "said",
+    [FailingSwarm.said, {"error": "the cameras do not see it", "kind": "ConfigError"}],
+    ids=["reasons", "error"],
+)
+def test_launched_run_that_ends_before_it_is_ready_says_why(monkeypatch, said):
     refused = FailingSwarm(lands=True, ends_early=True)
+    refused.said = said
     monkeypatch.setattr(connecting, "SwarmRun", lambda *told: refused)
     monkeypatch.setattr(connecting, "join_swarm", refused.join)
-    with pytest.raises(ProcessFailed, match="drone 1: the cameras do not see it"):
+    with pytest.raises(ProcessFailed, match="the cameras do not see it"):
         connecting.launch("operator", drones=2)
     assert refused.is_left
     assert refused.is_ended
