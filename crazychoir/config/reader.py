@@ -27,6 +27,8 @@ StructType = TypeVar("StructType", bound=msgspec.Struct)
 
 NESTING_LIMIT = 16
 """Most levels of lists and tables."""
+MOST_OPEN_LINES = 200
+"""Last lines of a text in which an open bracket is looked for."""
 END_OF_TEXT = "at end of document"
 """Words of an error of tomllib about something that is still open at the end."""
 SHOWN_LETTERS = 80
@@ -49,25 +51,25 @@ def parse(text: str, where: str) -> dict[str, Any]:
     except (ValueError, RecursionError) as error:
         found = str(error)
         if language == "TOML" and END_OF_TEXT in found:
-            line = _find_open_line(text)
-            found = found.replace(END_OF_TEXT, f"at line {line}")
+            found = found.replace(END_OF_TEXT, _name_open_line(text))
         do = "Correct the line."
         raise ConfigError(where, found, f"{language} text", do) from error
     require_plain(raw, where)
     return raw
 
 
-def _find_open_line(text: str) -> int:
-    """Return the number, from 1, of the line that begins what is still open at the end of a TOML text.
+def _name_open_line(text: str) -> str:
+    """Return where the line is that begins what is still open at the end of a TOML text: "at line 7".
 
-    It is the line after the longest part that is a text of its own.
+    It is the line after the longest part that is a text of its own. In a long text it is looked for
+    among the last lines only.
     """
-    lines = text.splitlines(keepends=True)
-    for count in range(len(lines) - 1, 0, -1):
+    lines = text.split("\n")
+    for count in range(len(lines) - 1, max(0, len(lines) - MOST_OPEN_LINES), -1):
         with contextlib.suppress(ValueError):
-            tomllib.loads("".join(lines[:count]))
-            return count + 1
-    return 1
+            tomllib.loads("\n".join(lines[:count]))
+            return f"at line {count + 1}"
+    return "at line 1" if len(lines) <= MOST_OPEN_LINES else END_OF_TEXT
 
 
 def _decode_json(text: str) -> Any:
