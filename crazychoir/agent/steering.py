@@ -60,6 +60,7 @@ class Steering:
         self._count = 0
         self._loaded: Piecewise | None = None
         self._loaded_at = 0.0
+        self._on_board_turn = 0
 
     async def go_to(self, arguments: dict[str, Any]) -> str:
         """Fly to the OperatorGoal in the arguments, and return when the drone is there.
@@ -107,10 +108,17 @@ class Steering:
     async def load(self, arguments: dict[str, Any]) -> str:
         """Upload the path in the arguments of a `fly` that follows, without moving the drone.
 
-        Several drones that are loaded one after another can then begin together.
+        Several drones that are loaded one after another can then begin together. A drone that its
+        mission flies is left as it is: the mission takes the path itself.
         Raises Refused with the reason if the path is not uploaded.
         """
         path, _ = convert_path(arguments)
+        pilot = self.drone.pilot
+        if pilot.airborne and not pilot.permission.steerable:
+            return "flown by its mission"
+        if self._on_board_turn:
+            self._refuse("it flies a trajectory from its memory: hold the drone first")
+        self._loaded = None
         await self._upload(path)
         self._loaded = path
         self._loaded_at = self.drone.pilot.clock.now()
@@ -145,10 +153,16 @@ class Steering:
             self._require_turn(turn)
         start = flown.sample(0.0)
         await self._reach(start.p, start.yaw, 0.0, turn)
-        if on_board is not None:
+        if on_board is None:
+            return await self._follow(flown, turn)
+        self._on_board_turn = turn
+        try:
             await self._start_on_board(flown, on_board, asked.relative)
             self._require_turn(turn)
-        return await self._follow(flown, turn)
+            return await self._follow(flown, turn)
+        finally:
+            if self._on_board_turn == turn:
+                self._on_board_turn = 0
 
     async def _follow(self, path: Piecewise, turn: int) -> str:
         """Fly the path from its start, where the drone is.

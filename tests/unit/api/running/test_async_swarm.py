@@ -1,5 +1,6 @@
 """A running swarm as an asynchronous object, over whole drones in virtual time."""
 
+import asyncio
 from contextlib import asynccontextmanager
 from types import SimpleNamespace
 
@@ -142,6 +143,26 @@ def test_drones_begin_a_trajectory_on_board_when_all_have_it_in_memory(monkeypat
             *(firmware.starts for firmware in made.values()), strict=True
         ):
             assert abs(np.subtract(*starts)) < 0.2
+        await swarm.land()
+
+    fly(scene)
+
+
+def test_the_memory_is_not_written_while_its_trajectory_flies(monkeypatch):
+    there = minimum_snap([[0, 0, 0], [0.0, 0.3, 0]], [0.0, 6.0])
+    back = minimum_snap([[0, 0, 0], [0.0, -0.3, 0]], [0.0, 6.0])
+
+    async def scene(swarm, operator):
+        made = {i: Firmware(operator.clock, 0.1) for i in (0, 1)}
+        monkeypatch.setattr(steering, "require_firmware", lambda drone: made[drone.id])
+        await swarm.take_off()
+        flying = asyncio.ensure_future(swarm.follow(there, on_board=True))
+        await operator.clock.sleep(4.0)
+        with pytest.raises(OrderFailed, match="from its memory: hold the drone first"):
+            await swarm.follow(back, on_board=True)
+        await flying
+        await swarm.follow(back, on_board=True)
+        assert [firmware.uploads for firmware in made.values()] == [2, 2]
         await swarm.land()
 
     fly(scene)
