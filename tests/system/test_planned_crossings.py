@@ -231,4 +231,4 @@ def test_drones_that_meet_on_their_trajectories_keep_clear_of_each_other():
     ends = np.array([[-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
     flights = fly_across(FollowsLine, ends, ends[::-1], 0, senders=("xyz", "xyz"))
     assert nearest(flights) >= CLEAR
-    assert arrived(flights) <= 12.0
+    assert arrived(flights) <= 14.0

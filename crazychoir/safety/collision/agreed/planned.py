@@ -136,9 +136,10 @@ class PlannedFlights:
         self._flew = now
         flown = compute_motion(mine.way, now - mine.began)
         self._kept = math.dist(flown[0:3], wanted.p) < PATH_TOLERANCES.on_reference
-        # The path of a drone that brakes may still be on a reference that goes on at full speed.
+        # The path of a drone that brakes may still be on a trajectory that goes on at full speed.
         self._is_in_step = self._kept and (
-            math.dist(flown[3:6], wanted.v) < PATH_TOLERANCES.same_speed
+            whole > 0.0
+            or math.dist(flown[3:6], wanted.v) < PATH_TOLERANCES.same_speed
         )
         return wanted if self._is_in_step else _build_reference(flown, wanted.yaw)
 
