@@ -456,6 +456,8 @@ def test_the_page_of_missions_shows_each_mission_and_each_picture(repository):
     text = page(AGENTS)
     assert [name for name in missions() if f"crazychoir run {name} " not in text] == []
     pictures = set(re.findall(r"\]\(pictures/(.*?)\)", text))
+    for other in (repository / "crazychoir").glob("*/README.md"):
+        pictures |= set(re.findall(r"agents/pictures/(.*?)\)", other.read_text()))
     assert pictures == {
         path.name for path in (repository / "agents" / "pictures").iterdir()
     }

@@ -74,9 +74,7 @@ class DistributedColumns:
         self._member = member
         self._budget = member.budget
         self._i = member.place.robot
-        self._diameter = member.place.diameter
         self._m = len(member.local.tasks)
-        self._refusal = member.local.tasks.refusal
         self._robots: Mapping[int, LocalProblem] = {}
         self.routes: dict[int, list[int]] = {}
 
@@ -139,8 +137,8 @@ class DistributedColumns:
         It is the refusal, or for a task that must be served more than any plan could save.
         """
         return np.where(
-            np.isfinite(self._refusal),
-            self._refusal,
+            np.isfinite(self._member.local.tasks.refusal),
+            self._member.local.tasks.refusal,
             bound_saving(self._robots, self._member.reach),
         )
 
@@ -153,7 +151,7 @@ class DistributedColumns:
         if OBJECTIVE_NAMES.makespan in member.local.objective or self._budget.is_over:
             return None
         servable = yield from flood_values(
-            self._i, len(member.local.servable), self._diameter
+            self._i, len(member.local.servable), self._member.place.diameter
         )
         if max(servable.values()) > member.settings.columns.most_listed:
             return None
@@ -164,7 +162,7 @@ class DistributedColumns:
                 not (member.is_table_hopeless or self._budget.is_spent)
                 and member.table.complete
             ),
-            self._diameter,
+            self._member.place.diameter,
         )
         if not all(complete.values()):
             vars(member).pop(
@@ -201,7 +199,7 @@ class DistributedColumns:
                 rank,
                 _flatten_routes(routes),
             ]
-        best = yield from find_best_offer(mine, self._diameter)
+        best = yield from find_best_offer(mine, self._member.place.diameter)
         if best is None:
             raise SolverError(f"robot {self._i}: first plan", "no robot offered one")
         self.routes = _unflatten_routes(best[2])
@@ -212,7 +210,7 @@ class DistributedColumns:
         settings = self._member.settings
         if not self._budget.is_given:
             return list_usual_passes(
-                settings.search, len(self._robots), self._m, self._diameter
+                settings.search, len(self._robots), self._m, self._member.place.diameter
             )
         first = settings.anytime.first_passes
         return islice(
@@ -242,7 +240,7 @@ class DistributedColumns:
                 self.routes, one.cluster, one.leaders, [one.number]
             )
             offers = yield from flood_values(
-                self._i, self._lead(clusters, one), self._diameter
+                self._i, self._lead(clusters, one), self._member.place.diameter
             )
             still = 0 if self._accept(clusters, offers) else still + 1
             self._report_cost()

@@ -172,7 +172,7 @@ class Vehicle:
         m = self.tasks
         way = self.shortest_ways
         j = np.arange(m)
-        out = way.to_stops[0 if self.trips == 1 else slice(None), :m].reshape(-1, m)
+        out = np.atleast_2d(way.to_stops[0 if self.trips == 1 else slice(None), :m])
         return np.asarray(
             out.min(axis=0) + way.between[j, m + j] + way.from_stops[m + j, 1]
         )

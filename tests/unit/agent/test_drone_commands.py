@@ -91,7 +91,7 @@ async def test_stream_of_velocities_is_published_once(commands, said, monkeypatc
 
 async def test_unknown_command_is_refused_with_the_list_of_commands(commands):
     allowed = (
-        "arm, take-off, start, hold, go, land, home, go-to, velocity, fly, impair, param_set, "
+        "arm, take-off, start, hold, go, land, home, go-to, velocity, load, fly, impair, param_set, "
         "firmware_set, task_add, task_cancel, param_get, firmware_get, firmware_list, task_list, overview, ping, "
         "watched"
     )

@@ -90,7 +90,7 @@ def test_a_key_of_a_table_that_stands_in_the_file_or_in_another_table_names_its_
         ),
         (
             f"{NAME}uri = 'sim://'\n{DRONES}",
-            r"It is a key of \[\[drones\]\]: write it there",
+            r"It is a key of \[\[drones\]\], \[defaults\]: write it in the table",
         ),
         (
             f"{NAME}{DRONES}[flight.fence]\nmin = [-1, -1, 0]\n",

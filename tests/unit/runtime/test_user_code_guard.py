@@ -12,13 +12,13 @@ import pytest
 
 from crazychoir.config.swarm_config import default_swarm
 from crazychoir.errors import ConfigError, Hung
-from crazychoir.guidance import mission
 from crazychoir.guidance import user_hook as hooked
 from crazychoir.guidance.feedback import CFDistributedFeedback
 from crazychoir.guidance.guidance import CFGuidance
 from crazychoir.guidance.mission import load_mission
 from crazychoir.launch.flight import fly_fast
 from crazychoir.runtime import user_code_guard as hanging
+from crazychoir.runtime import user_module
 from crazychoir.runtime.user_code_guard import (
     GuardedCoroutine,
     HangWatch,
@@ -248,7 +248,7 @@ def test_a_hook_or_a_file_that_does_not_end_is_said_with_its_line(
         "USER_CODE_TIMES",
         dataclasses.replace(hooked.USER_CODE_TIMES, hook_limit=0.2),
     )
-    monkeypatch.setattr(mission, "USER_CODE_TIMES", hooked.USER_CODE_TIMES)
+    monkeypatch.setattr(user_module, "USER_CODE_TIMES", hooked.USER_CODE_TIMES)
     path = tmp_path / "mine.py"
     loop = "    while True:\n        pass\n"
     bodies = {

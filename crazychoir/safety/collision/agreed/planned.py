@@ -138,8 +138,7 @@ class PlannedFlights:
         self._kept = math.dist(flown[0:3], wanted.p) < PATH_TOLERANCES.on_reference
         # The path of a drone that brakes may still be on a trajectory that goes on at full speed.
         self._is_in_step = self._kept and (
-            whole > 0.0
-            or math.dist(flown[3:6], wanted.v) < PATH_TOLERANCES.same_speed
+            whole > 0.0 or math.dist(flown[3:6], wanted.v) < PATH_TOLERANCES.same_speed
         )
         return wanted if self._is_in_step else _build_reference(flown, wanted.yaw)
 
