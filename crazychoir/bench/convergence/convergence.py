@@ -119,7 +119,7 @@ def _describe_failures(result: dict[str, Any]) -> list[str]:
     """Return a line for each algorithm and case with runs that failed."""
     return [
         f"{result['labels'][row['algorithm']]}: {row['failed']} of {row['seeds']} runs failed: "
-        f"{_describe_case(row)}"
+        f"{_describe_case(row)}. {row['failure']}".removesuffix(". ")
         for row in result["rows"]
         if row["failed"]
     ]

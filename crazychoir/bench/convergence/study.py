@@ -76,6 +76,8 @@ class Curve:
     """(K+1,) messages that an agent had sent, in the mean."""
     sent_bytes: Vec
     """(K+1,) bytes that an agent had sent, in the mean."""
+    failure: str = ""
+    """Why the run failed; empty if it did not."""
 
     def find_effort(self, accuracy: float) -> dict[str, float]:
         """Return rounds, messages and bytes of an agent until the error stays below the accuracy.
@@ -210,6 +212,8 @@ class CaseResult:
         row["step_scale"] = self.scale
         row["seeds"] = len(self.curves)
         row["failed"] = sum(not np.isfinite(c.error[-1]) for c in self.curves.values())
+        failures = (curve.failure for curve in self.curves.values() if curve.failure)
+        row["failure"] = next(failures, "")
         for name in EFFORT_NAMES:
             row |= _quartiles(name, [effort[name] for effort in efforts])
         last = [float(curve.error[-1]) for curve in self.curves.values()]
@@ -280,12 +284,13 @@ def run_cases(
 def _run_or_fail(
     contender: Contender, case: Case, request: StudyRequest, scale: float, seed: int
 ) -> Curve:
-    """Return a run; where the step is too large for this one problem, its errors are inf."""
+    """Return a run; if it fails, such as by a step that is too large for this one problem, its errors are inf."""
     try:
         return run_once(contender, case, request, scale, seed)
-    except CrazyChoirError:
+    except CrazyChoirError as error:
         nothing = np.zeros(request.rounds + 1)
-        return Curve(np.full(request.rounds + 1, np.inf), nothing, nothing)
+        endless = np.full(request.rounds + 1, np.inf)
+        return Curve(endless, nothing, nothing, str(error))
 
 
 def _quartiles(name: str, values: Sequence[float]) -> dict[str, float | None]:

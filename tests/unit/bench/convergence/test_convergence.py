@@ -136,8 +136,9 @@ def test_tables_and_pictures_show_all_algorithms_also_a_users_own(own, monkeypat
     assert table.row_count == 2
     assert "failed" not in below.plain
     result["rows"][2]["failed"] = 1
+    result["rows"][2]["failure"] = "It grew."
     _, below = bench_convergence.table(result).renderables
-    assert "EXTRA: 1 of 2 runs failed: 3 agents, path, 40% lost" in below.plain
+    assert "EXTRA: 1 of 2 runs failed: 3 agents, path, 40% lost. It grew" in below.plain
 
 
 @pytest.mark.parametrize(
