@@ -46,7 +46,7 @@ class PlanAnnouncements:
     answer_time: float = 0.15
     """Seconds of the lead time that are left beside the ways of an offer and its answer."""
     delay_decay: float = 0.99
-    """Share of the largest delay of messages that is still expected after one more message."""
+    """Share of the largest delay of a drone's messages that is still expected after one more of them."""
     no_offer: int = -1
     """The number that stands for no offer."""
     offers_per_incarnation: int = 2**20
@@ -70,6 +70,8 @@ class OtherPlanner:
     """Id of the drone."""
     heard: float = -np.inf
     """Time in s of its newest message."""
+    delay: float = 0.0
+    """Seconds that its messages take at most, as far as is known."""
     way: Mat = field(default_factory=lambda: NO_PATH)
     """(k, 25): its path."""
     began: float = 0.0
@@ -133,7 +135,6 @@ class Agreement:
         self.in_vain = 0.0
         """Seconds that it has asked, or could not ask, since an offer last succeeded."""
         self._asked = 0.0
-        self._delay = 0.0
         self.lacking: int | None = None
         """Id of the drone that last failed to answer."""
         self._next = 0.0
@@ -151,8 +152,10 @@ class Agreement:
         j, plan = message
         other = self.others.get(j)
         heard = self.clock.now_ns() / NS_PER_SECOND - age
-        self._delay = max(age, PLAN_ANNOUNCEMENTS.delay_decay * self._delay)
-        if other is None or heard < other.heard or not PLAN_VALIDATOR.is_sound(plan):
+        if other is None:
+            return
+        other.delay = max(age, PLAN_ANNOUNCEMENTS.delay_decay * other.delay)
+        if heard < other.heard or not PLAN_VALIDATOR.is_sound(plan):
             return
         other.heard = heard
         other.agreed = plan.agreed
@@ -272,12 +275,14 @@ class Agreement:
 
     @property
     def lead_time(self) -> float:
-        """Seconds before an offer begins; longer where the messages of the others are late.
+        """Seconds before an offer begins; longer where the messages of drones that must agree are late.
 
         It covers the delay of an offer, that of its answer, and PLAN_ANNOUNCEMENTS.answer_time.
         """
         times = PLAN_ANNOUNCEMENTS
-        needed = 2.0 * self._delay + times.answer_time
+        asked = (other for other in self.flying() if other.id < self.id)
+        delay = max((other.delay for other in asked), default=0.0)
+        needed = 2.0 * delay + times.answer_time
         return min(times.longest_lead_time, max(times.offer_lead_time, needed))
 
     def tell(self, now: float) -> None:

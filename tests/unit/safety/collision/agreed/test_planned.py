@@ -283,6 +283,24 @@ async def test_an_offer_that_is_not_agreed_to_in_time_is_forgotten(clock):
 
 
 @virtual
+async def test_late_messages_of_one_drone_lengthen_offers_to_it_however_many_others_talk(
+    clock,
+):
+    """Only drones with lower ids are asked; a late drone with a higher id lengthens nothing."""
+    crowded = [(-2.0 + 0.6 * k, 2.0, 1.0) for k in range(8)]
+    _, drones = crowd(clock, (A,), (B,), *((place,) for place in crowded))
+    late = Impairment(1, [ImpairmentRule({"delay": 0.2}, edge=(0, 1), directed=True)])
+    drones[0].port.bus.impairment = late
+    late.begin(clock.now())
+    await fly(clock, drones, 1.0)
+    leads = [drone.filter.agreement.lead_time for drone in drones]
+    assert leads[1] == pytest.approx(
+        0.2 + 0.2 + PLAN_ANNOUNCEMENTS.answer_time, abs=0.02
+    )
+    assert set(leads[:1] + leads[2:]) == {PLAN_ANNOUNCEMENTS.offer_lead_time}
+
+
+@virtual
 async def test_only_offers_that_are_clear_are_agreed_to(clock):
     _, drones = crowd(clock, (A,), (B,))
     await fly(clock, drones, 0.5)
