@@ -118,15 +118,7 @@ def solve_with_vroom(instance: Instance, seconds: float, exploration: int) -> fl
     It runs at least once, which takes minutes with 200 tasks and the highest exploration level.
     """
     vroom = importlib.import_module("vroom")
-    raw = instance.to_json()
-    points = np.array([*raw["home"], *raw["pickup"], *raw["delivery"]])
-    problem = Problem(
-        distance=np.sqrt(((points[:, None] - points[None, :]) ** 2).sum(axis=2)),
-        load=np.array(raw["load"]).astype(np.int64),
-        capacity=np.array(raw["capacity"]).astype(np.int64),
-        capability=np.array(raw["capability"], bool),
-        limit=np.inf,
-    )
+    problem = Problem.parse(instance.to_json())
     draw = np.random.default_rng(1)
     began = time.process_time()
     least = np.inf

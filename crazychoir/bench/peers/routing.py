@@ -39,11 +39,15 @@ class Problem:
 
     @classmethod
     def load_from(cls, path: str) -> "Problem":
-        """Read an instance file.
+        """Read an instance file."""
+        return cls.parse(json.loads(Path(path).read_text(encoding="utf-8")))
+
+    @classmethod
+    def parse(cls, raw: dict[str, Any]) -> "Problem":
+        """Return the problem with the fields of an instance file.
 
         Its loads and capacities must be whole numbers, because these solvers need that.
         """
-        raw = json.loads(Path(path).read_text(encoding="utf-8"))
         points = np.array([*raw["home"], *raw["pickup"], *raw["delivery"]])
         limit = raw.get("route_length_limit")
         return cls(
