@@ -161,7 +161,7 @@ class FlightFollower:
         return self.flights.fly(trajectory, now)
 
     def fly_leg(self, goal: Vec, now: float) -> None:
-        """Plan the next leg of a way home to the goal, (3,) m."""
+        """Plan a leg to the goal, (3,) m: of a way home, or the rest of a take-off."""
         start = self._get_departure(now)
         self._row.flown = start
         inside = self._guard.room.nearest(goal, inset=0.0)
@@ -318,6 +318,7 @@ class FlightFollower:
         if (
             row.mode in (TAKEOFF_MODE, FOLLOW_MODE)
             and not row.has_reference
+            and not (row.mode is TAKEOFF_MODE and row.obeyed is Action.BRAKE)
             and flights.done(now)
         ):
             self._permission.change(ModeEvent.ARRIVED)

@@ -71,6 +71,7 @@ class Judge:
         self.ground_watch = GroundWatch(setup, row, body, guard, notes)
         self.braked = 0
         """Number of times the safety table has braked the drone in this flight."""
+        self._rise_goal: Vec | None = None  # (3,) m, world: where the take-off ends
         self.watch_always()
 
     def watch_always(self) -> None:
@@ -163,6 +164,9 @@ class Judge:
             self._give_up(verdict.reason, now)
         elif verdict.action is Action.BRAKE and self._row.mode is not LAND_MODE:
             self._follower.brake(now)
+        elif self._rise_goal is not None and self._row.mode is TAKEOFF_MODE:
+            # The brake is over.
+            self._follower.fly_leg(self._rise_goal, now)
 
     def begin_anew(self, now: float) -> None:
         """Come to rest and hover, or continue to land, after a failed tick.
@@ -271,6 +275,7 @@ class Judge:
         if not self._setup.controls.takes_off:
             self._permission.skip_take_off()
             return 0.0
+        self._rise_goal = self._follower.get_place_above(height)
         seconds = self._follower.begin_take_off(height, now, duration)
         self.ground_watch.begin_take_off(float(state.p[2]), now)
         self._guard.forget()

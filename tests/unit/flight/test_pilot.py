@@ -235,6 +235,23 @@ async def test_a_short_gap_in_the_poses_is_braked_through(clock):
 
 
 @virtual
+async def test_a_take_off_that_a_short_gap_in_the_poses_brakes_goes_on(clock):
+    drone = Flown(clock)
+    await drone.fly(0.05)
+    drone.pilot.take_off(duration=2.0)
+    await drone.fly(0.3)
+    await drone.fly(0.15, poses=False)
+    assert "pose" in drone.pilot.notes.text
+    await drone.fly(0.4)
+    assert drone.pilot.mode is Mode.TAKEOFF, "it waits until the poses have come long"
+    assert drone.p[2] < 0.2
+    await drone.fly(2.5)
+    assert drone.pilot.mode is Mode.HOVER
+    height = FlightTable().takeoff_height
+    assert drone.p[2] == pytest.approx(height, abs=0.02)
+
+
+@virtual
 async def test_a_long_gap_lands_it_and_a_longer_one_cuts_the_motors(clock):
     drone = Flown(clock)
     await drone.hovering()
