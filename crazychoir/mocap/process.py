@@ -86,6 +86,15 @@ class TrackedDrone:
         body = self.body.fresh()
         return body is not None and body.flying
 
+    def make_pose(self, flat: Vec, age: float) -> Pose:
+        """Return the pose of the drone, `age` s old, if its body has the pose `flat` (7,)."""
+        return Pose(self.mounting.drone(flat), age)
+
+    def find_pose(self, frame: PoseFrame, age: float) -> Pose | None:
+        """Return the pose of the drone by its body in this frame, None if the frame lacks it."""
+        flat = frame.bodies.get(self.name)
+        return None if flat is None else self.make_pose(flat, age)
+
 
 class SourceRunner(Actor):
     """Runs a source, and runs it again after a failure."""
@@ -209,9 +218,7 @@ class MocapProcess(Actor):
         due = self._truth.passes(frame.time)
         for track in self.tracks.values():
             pose = self._publish(track, seen.bodies.get(track.name), age + late, now)
-            true = (
-                pose if exact is None else _make_pose(exact.bodies.get(track.name), age)
-            )
+            true = pose if exact is None else track.find_pose(exact, age)
             if true is not None:
                 state = track.velocity.update(true, now)
                 if due and state is not None:
@@ -226,7 +233,7 @@ class MocapProcess(Actor):
         """
         if flat is None:
             return None
-        pose = Pose(track.mounting.drone(flat), age + self.watch.age(track.name, now))
+        pose = track.make_pose(flat, age + self.watch.age(track.name, now))
         track.port.publish(DRONE_TOPICS.pose, pose, pose.age)
         return pose
 
@@ -316,10 +323,6 @@ def _find_trim(config: SwarmConfig, drone: DroneTable) -> tuple[float, float]:
     """Return the calibrated trim (roll, pitch) in rad of a drone; simulated cameras see no trim."""
     is_simulated = config.mocap.source == "virtual"
     return (0.0, 0.0) if is_simulated else drone.calibration.trim or (0.0, 0.0)
-
-
-def _make_pose(flat: Vec | None, age: float) -> Pose | None:
-    return None if flat is None else Pose(flat, age)
 
 
 def _join_ids(drones: list[int]) -> str:

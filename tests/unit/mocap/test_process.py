@@ -161,6 +161,16 @@ def test_truth_of_virtual_drones_has_no_noise_and_their_poses_have():
     assert {tilt for _, tilt in told} == {0.0}
 
 
+def test_truth_of_a_virtual_drone_is_that_of_the_drone_and_not_of_its_body():
+    mounting = {"body_offset": [0.0, 0.0, 0.03], "body_rotation": [0.0, 0.0, 1.5]}
+    got, _, _ = served(config=swarm({"source": "virtual"}, **mounting))
+    flat = np.array([2.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+    expected = Mounting((0.0, 0.0, 0.03), (0.0, 0.0, 1.5)).drone(flat)
+    state = got[DRONE_TOPICS.truth, 1][0][1]
+    np.testing.assert_allclose(state.p, expected[:3], atol=1e-4)
+    np.testing.assert_allclose(state.q, expected[3:], atol=1e-9)
+
+
 def test_a_source_that_fails_runs_again(caplog):
     got, mocap, _ = served(fails=50)
     assert len(got[DRONE_TOPICS.pose, 0]) == 200
