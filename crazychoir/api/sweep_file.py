@@ -2,16 +2,20 @@
 
 import fcntl
 import json
-from collections.abc import Mapping
+import logging
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, Self
+from typing import IO, Any, NoReturn, Self
 
 from crazychoir.api.sweep_rows import Row
 from crazychoir.errors import ConfigError
 from crazychoir.files.output_files import output_file, require_writable_file
 
+log = logging.getLogger(__name__)
 ROW_KEY = "key"
 """Name of the key of a run in its line."""
+MISSION_KEY = "mission"
+"""Name of the mission of a run in its line."""
 
 
 class SweepFile:
@@ -19,18 +23,21 @@ class SweepFile:
 
     While the sweep flies, rows are added in the order in which the runs end. At its end they are
     written in the order of the sweep: the file is the same however often the sweep was interrupted.
-    Rows with other inputs, such as more seeds, stay in the file, below those of the sweep.
+    Rows with other inputs, such as more seeds, stay in the file, below those of the sweep. A damaged
+    line is left out with a warning, and its run flies again.
 
     path: the file
+    mission: name of the mission, or of its file
     runs: {key: inputs} of each run, in the order of the sweep; equal keys mean equal rows
 
     Attributes:
     rows: {key: row} of the runs of this sweep that have ended
-    Raises ConfigError if the file has runs of another sweep, or another sweep writes it now.
+    Raises ConfigError if the file has runs of another sweep or mission, or another sweep writes it now.
     """
 
-    def __init__(self, path: Path, runs: Mapping[str, Row]) -> None:
+    def __init__(self, path: Path, mission: str, runs: Mapping[str, Row]) -> None:
         self.path = path
+        self._mission = mission
         self.rows: dict[str, Row] = {}
         self._runs = dict(runs)
         self._other_lines: list[str] = []
@@ -58,31 +65,55 @@ class SweepFile:
 
     def _read(self) -> None:
         """Read the rows of an earlier sweep, and remove a line that was not written to its end."""
-        self._file.seek(0)
+        lines = self.path.read_bytes().splitlines(keepends=True)
+        is_cut = bool(lines) and not lines[-1].endswith(b"\n")
+        rows = [_parse_line(line) for line in lines[: len(lines) - is_cut]]
+        self._require_rows(lines, rows)
+        missions: dict[str, int] = {}
         stale = 0
-        length = 0
-        for line in self._file.read().splitlines(keepends=True):
-            row = _parse_line(line)
+        for number, (line, row) in enumerate(zip(lines, rows, strict=False), 1):
             if row is None:
-                break
-            length += len(line.encode())
+                do = "it is left out, and its run flies again if it is of this sweep"
+                log.warning("%s: line %d is damaged: %s", self.path, number, do)
+                continue
             key = row.pop(ROW_KEY)
-            if key in self._runs:
+            mission = str(row.pop(MISSION_KEY, "an unknown one"))
+            if mission != self._mission:
+                missions[mission] = missions.get(mission, 0) + 1
+            elif key in self._runs:
                 self.rows[key] = row
             elif self._has_inputs_of_a_run(row):
                 stale += 1
             else:
-                self._other_lines.append(line)
-        if stale or (length == 0 and self._file.tell() > 0 and not self._is_cut_line()):
-            found = f"{stale} runs of another sweep" if stale else "another file"
-            do = (
-                "Name another file, or remove it. A sweep is another one if its mission, swarm or "
-                "version has changed."
-            )
-            raise ConfigError(
-                str(self.path), found, "a new file, or that of this sweep", do
-            )
-        self._file.truncate(length)
+                self._other_lines.append(line.decode())
+        self._require_own_runs(missions, stale)
+        self._file.truncate(sum(len(line) for line in lines[: len(lines) - is_cut]))
+
+    def _require_rows(self, lines: Sequence[bytes], rows: Sequence[Row | None]) -> None:
+        """Raise ConfigError for a file that no sweep has written."""
+        start = f'{{"{ROW_KEY}": '.encode()
+        is_begun = len(lines) == 1 and start.startswith(lines[0][: len(start)])
+        if lines and not is_begun and all(row is None for row in rows):
+            self._refuse("another file", "")
+
+    def _require_own_runs(self, missions: Mapping[str, int], stale: int) -> None:
+        """Raise ConfigError if the file has runs of other missions, or of another sweep of this one.
+
+        missions: {mission: number of its runs} of all others
+        stale: number of runs with the inputs, but not the key, of a run of this sweep
+        """
+        if missions:
+            texts = [f"{count} of {name}" for name, count in missions.items()]
+            found = f"runs of another mission: {', '.join(texts)}"
+            self._refuse(found, f"This sweep flies {self._mission}.")
+        if stale:
+            do = "A sweep is another one if its mission, swarm or version has changed."
+            self._refuse(f"{stale} runs of another sweep", do)
+
+    def _refuse(self, found: str, do: str) -> NoReturn:
+        advice = f"Name another file, or remove it. {do}".rstrip()
+        allowed = "a new file, or that of this sweep"
+        raise ConfigError(str(self.path), found, allowed, advice)
 
     def _has_inputs_of_a_run(self, row: Row) -> bool:
         """Return whether a row with another key has the inputs of one of the runs."""
@@ -91,37 +122,27 @@ class SweepFile:
             for inputs in self._runs.values()
         )
 
-    def _is_cut_line(self) -> bool:
-        """Return whether the file is the beginning of a first line of a sweep."""
-        self._file.seek(0)
-        start = f'{{"{ROW_KEY}": '
-        text = self._file.read(len(start))
-        return start.startswith(text)
-
     def add(self, key: str, row: Row) -> None:
         """Add the row of a run that has ended."""
         self.rows[key] = row
-        self._file.write(_format_line(key, row))
+        self._file.write(self._format_line(key, row))
         self._file.flush()
 
     def finish(self) -> None:
         """Write all rows in the order of the sweep, then those of other inputs."""
-        lines = [_format_line(key, self.rows[key]) for key in self._runs]
+        lines = [self._format_line(key, self.rows[key]) for key in self._runs]
         lines += self._other_lines
         with output_file(self.path, "file") as place:
             place.write_text("".join(lines), encoding="utf-8")
 
+    def _format_line(self, key: str, row: Mapping[str, Any]) -> str:
+        return json.dumps({ROW_KEY: key, MISSION_KEY: self._mission, **row}) + "\n"
 
-def _parse_line(line: str) -> Row | None:
-    """Return the row of a line with its key; None for a cut line, or one of another program."""
-    if not line.endswith("\n"):
-        return None
+
+def _parse_line(line: bytes) -> Row | None:
+    """Return the row of a line with its key; None for a damaged line, or one of another program."""
     try:
         row = json.loads(line)
     except ValueError:
         return None
     return row if isinstance(row, dict) and ROW_KEY in row else None
-
-
-def _format_line(key: str, row: Mapping[str, Any]) -> str:
-    return json.dumps({ROW_KEY: key, **row}) + "\n"

@@ -31,7 +31,8 @@ def build_row(result: Mapping[str, Any]) -> Row:
     )
     row = build_first_figures(bool(result["success"]), _join_reasons(result))
     row["drones"] = result["drones"]
-    row |= {name: _flatten(value) for name, value in figures.items()}
+    for name, value in figures.items():
+        row |= _flatten(name, value)
     row |= {f"messages_{name}": count for name, count in result["messages"].items()}
     row["flown_m"] = round(sum(result["flown_m"].values()), 4)
     row["digest"] = result["digest"]
@@ -52,6 +53,11 @@ def _join_reasons(result: Mapping[str, Any]) -> str | None:
     return "; ".join(texts) or None
 
 
-def _flatten(value: Any) -> Any:
-    """Return a number or a text; lists and dictionaries become their JSON."""
-    return json.dumps(value) if isinstance(value, list | dict) else value
+def _flatten(name: str, value: Any) -> Row:
+    """Return a figure as numbers and texts: one a key of a dictionary; a list becomes its JSON."""
+    if not isinstance(value, dict):
+        return {name: json.dumps(value) if isinstance(value, list) else value}
+    row: Row = {}
+    for key, part in value.items():
+        row |= _flatten(f"{name}.{key}", part)
+    return row

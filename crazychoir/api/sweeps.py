@@ -112,7 +112,8 @@ def sweep(
         kept = None
         if file is not None:
             inputs = {run.key: to_plain_values(run.inputs) for run in runs}
-            kept = stack.enter_context(SweepFile(Path(file), inputs))
+            name = Path(mission).name
+            kept = stack.enter_context(SweepFile(Path(file), name, inputs))
         if watch is None:
             watch = stack.enter_context(open_progress())
         rows = {} if kept is None else dict(kept.rows)

@@ -120,9 +120,10 @@ def sweep(
     except CrazyChoirError as error:
         exit_with_error(error, as_json)
     except KeyboardInterrupt as end:
-        text = _describe_interruption(kept)
+        ended_runs = getattr(end, "table", None)
+        text = _describe_interruption(kept, ended_runs)
         ended = {"success": False, "error": text, "kind": "KeyboardInterrupt"}
-        _show(getattr(end, "table", None), as_json, ended)
+        _show(ended_runs, as_json, ended)
         ERROR_CONSOLE.print(text, markup=False, highlight=False, soft_wrap=True)
         raise typer.Exit(130) from None
     _show(table, as_json, {"success": not outputs.failed} | outputs.told)
@@ -193,14 +194,16 @@ def _parse_counts(text: str) -> list[int]:
     return parse_spans(text, "--drones", allowed, last=options.OPTION_LIMITS.drones)
 
 
-def _describe_interruption(kept: Path | None) -> str:
-    """Return how the sweep goes on."""
+def _describe_interruption(kept: Path | None, table: "Table | None") -> str:
+    """Return how the sweep goes on.
+
+    kept: file of the runs
+    table: the runs of this sweep that have ended; None before the first one could fly
+    """
     if kept is None or not kept.is_file():
         return "Ctrl-C: the sweep ends here; name --csv or --file, and the next one can go on from there"
-    lines = kept.read_text(encoding="utf-8").count("\n")
-    return (
-        f"Ctrl-C: {lines} runs are kept in {kept}: the same command goes on from there"
-    )
+    runs = "the runs of before" if table is None else f"{len(table)} runs"
+    return f"Ctrl-C: {runs} are kept in {kept}: the same command goes on from there"
 
 
 def _build_summary_table(summary: "Table", figures: list[str]) -> ShownTable:

@@ -5,6 +5,7 @@ import pytest
 from crazychoir.api.sweep_file import SweepFile
 from crazychoir.errors import ConfigError
 
+MISSION = "figure"
 KEYS = ["a", "b", "c"]
 RUNS = {key: {"seed": key} for key in KEYS}
 
@@ -14,7 +15,7 @@ def row(key):
 
 
 def whole(path, order=KEYS):
-    with SweepFile(path, RUNS) as file:
+    with SweepFile(path, MISSION, RUNS) as file:
         for key in order:
             file.add(key, row(key))
         file.finish()
@@ -28,11 +29,11 @@ def test_the_order_in_which_runs_end_does_not_matter(tmp_path):
 @pytest.mark.parametrize("cut", [0, 1, 5])
 def test_an_interrupted_sweep_goes_on(tmp_path, cut):
     path = tmp_path / "a.jsonl"
-    with SweepFile(path, RUNS) as file:
+    with SweepFile(path, MISSION, RUNS) as file:
         file.add("c", row("c"))
         file.add("a", row("a"))
     path.write_bytes(path.read_bytes()[: -cut or None])
-    with SweepFile(path, RUNS) as file:
+    with SweepFile(path, MISSION, RUNS) as file:
         assert list(file.rows) == (["c", "a"] if cut == 0 else ["c"])
         for key in KEYS:
             if key not in file.rows:
@@ -50,13 +51,13 @@ def test_a_first_line_that_was_cut_is_no_fault(tmp_path):
 def test_a_sweep_may_get_more_runs_and_read_some_of_them(tmp_path):
     path = tmp_path / "a.jsonl"
     all_rows = whole(path)
-    with SweepFile(path, RUNS | {"d": {"seed": "d"}}) as file:
+    with SweepFile(path, MISSION, RUNS | {"d": {"seed": "d"}}) as file:
         assert list(file.rows) == KEYS
-    with SweepFile(path, {key: RUNS[key] for key in "bc"}) as file:
+    with SweepFile(path, MISSION, {key: RUNS[key] for key in "bc"}) as file:
         assert list(file.rows) == ["b", "c"]
         file.finish()
     assert sorted(path.read_bytes().splitlines()) == sorted(all_rows.splitlines())
-    with SweepFile(path, RUNS) as file:
+    with SweepFile(path, MISSION, RUNS) as file:
         file.finish()
     assert path.read_bytes() == all_rows
 
@@ -66,7 +67,7 @@ def test_a_row_of_another_sweep_with_the_same_inputs_is_refused(tmp_path):
     before = whole(path)
     changed = {"new": RUNS["b"]}
     with pytest.raises(ConfigError, match=r"found 1 runs of another sweep.*remove it"):
-        SweepFile(path, changed).__enter__()
+        SweepFile(path, MISSION, changed).__enter__()
     assert path.read_bytes() == before
 
 
@@ -75,14 +76,36 @@ def test_another_file_is_not_touched(tmp_path, text):
     path = tmp_path / "a.jsonl"
     path.write_text(text)
     with pytest.raises(ConfigError, match="found another file"):
-        SweepFile(path, RUNS).__enter__()
+        SweepFile(path, MISSION, RUNS).__enter__()
     assert path.read_text() == text
+
+
+def test_a_damaged_line_is_named_and_the_rows_after_it_are_kept(tmp_path, caplog):
+    path = tmp_path / "a.jsonl"
+    before = whole(path)
+    first, second, third = before.splitlines(keepends=True)
+    path.write_bytes(first + b'\xff{"key' + second[9:] + third)
+    with SweepFile(path, MISSION, RUNS) as file:
+        assert list(file.rows) == ["a", "c"]
+        file.add("b", row("b"))
+        file.finish()
+    assert f"{path}: line 2 is damaged: it is left out" in caplog.text
+    assert path.read_bytes() == before
+
+
+def test_rows_of_another_mission_are_refused_whatever_their_inputs_are(tmp_path):
+    path = tmp_path / "a.jsonl"
+    before = whole(path)
+    found = r"found runs of another mission: 3 of figure;.*This sweep flies grid\."
+    with pytest.raises(ConfigError, match=found):
+        SweepFile(path, "grid", {"d": {"seed": "d"}}).__enter__()
+    assert path.read_bytes() == before
 
 
 def test_two_sweeps_do_not_write_one_file(tmp_path):
     path = tmp_path / "a.jsonl"
     with (
-        SweepFile(path, RUNS),
+        SweepFile(path, MISSION, RUNS),
         pytest.raises(ConfigError, match="another sweep writes"),
     ):
-        SweepFile(path, RUNS).__enter__()
+        SweepFile(path, MISSION, RUNS).__enter__()

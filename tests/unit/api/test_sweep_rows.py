@@ -3,9 +3,10 @@
 from crazychoir.api.sweep_rows import build_row
 
 RESULT = {
-    "report": ["cost", "plan"],
+    "report": ["cost", "plan", "late_s"],
     "cost": 2.5,
     "plan": [1, 2],
+    "late_s": {"all": 3.0, "by_drone": {0: 1.0, 1: 2.0}},
     "mission": "figure",
     "success": False,
     "reason": "too slow",
@@ -33,6 +34,9 @@ def test_a_row_has_numbers_and_texts_and_no_wall_time():
         "rounds": 4,
         "cost": 2.5,
         "plan": "[1, 2]",
+        "late_s.all": 3.0,
+        "late_s.by_drone.0": 1.0,
+        "late_s.by_drone.1": 2.0,
         "messages_sent": 5,
         "messages_lost": 1,
         "messages_resent": 2,

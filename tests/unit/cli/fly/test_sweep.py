@@ -80,10 +80,11 @@ def test_json_has_the_rows_and_the_summary(asked):
 
 def test_ctrl_c_says_how_the_sweep_goes_on(asked, tmp_path):
     file = tmp_path / "a.jsonl"
-    file.write_text("{}\n{}\n")
+    file.write_text("{}\n" * 5)
     done = run("interrupted", "--file", file)
     assert done.exit_code == 130
-    assert f"2 runs are kept in {file}: the same command goes on" in done.stderr
+    kept = f"2 runs are kept in {file}: the same command goes on"
+    assert kept in done.stderr, "not the lines of other sweeps"
     assert "1.5 (1.25–1.75)" in done.stdout
     assert "name --csv or --file" in run("interrupted at once").stderr
     told = json.loads(run("interrupted", "--json").stdout)
