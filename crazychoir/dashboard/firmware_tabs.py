@@ -7,7 +7,7 @@ from crazychoir.dashboard.layout import button, choice, lines, row, text
 
 def build_console_tab(about: dict[str, Any]) -> None:
     """Build the tab with the lines of the consoles."""
-    drones = {"": "all drones", **_drone_options(about)}
+    drones = {"": "all drones", **list_drone_options(about)}
     text(
         f"<h2>Console of the firmware</h2>{choice('console-drone', 'Lines of', drones)}"
         f"{lines('console', 'console')}"
@@ -19,7 +19,7 @@ def build_parameters_tab(about: dict[str, Any]) -> None:
     text("<h2>Parameters of the firmware</h2>")
     with row():
         text(
-            choice("parameter-drone", "Of", _drone_options(about))
+            choice("parameter-drone", "Of", list_drone_options(about))
             + '<span class="field"><label for="parameter-filter">Filter</label>'
             '<input id="parameter-filter" type="search" placeholder="part of a name"></span>'
         )
@@ -30,5 +30,6 @@ def build_parameters_tab(about: dict[str, Any]) -> None:
     )
 
 
-def _drone_options(about: dict[str, Any]) -> dict[str, str]:
-    return {str(i): f"drone {i}" for i in about["ids"]}
+def list_drone_options(about: dict[str, Any]) -> dict[str, str]:
+    """Return the drones of a list to choose from: the text of each by its id."""
+    return {i: f"drone {name}" for i, name in about["names"].items()}

@@ -230,6 +230,9 @@ class SwarmModel:
             "swarm": config.name,
             "mission": config.mission,
             "ids": list(config.ids),
+            "names": {
+                str(i): f"{i} {config.drone(i).name}".rstrip() for i in config.ids
+            },
             "rate": PAGE_DATA.state_rate,
             "edges": sorted({(min(arc), max(arc)) for arc in config.graph().arcs}),
             "fence": [list(config.fence.min), list(config.fence.max)],

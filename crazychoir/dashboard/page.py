@@ -11,7 +11,11 @@ import nicegui
 from nicegui import ui
 
 from crazychoir.dashboard import drawing_tab
-from crazychoir.dashboard.firmware_tabs import build_console_tab, build_parameters_tab
+from crazychoir.dashboard.firmware_tabs import (
+    build_console_tab,
+    build_parameters_tab,
+    list_drone_options,
+)
 from crazychoir.dashboard.layout import (
     button,
     card,
@@ -215,7 +219,7 @@ class Page:
             text(speed)
 
     def _plots(self) -> None:
-        ids = {str(i): f"drone {i}" for i in self.about["ids"]}
+        ids = list_drone_options(self.about)
         text(
             '<h2>Batteries and links of the drones</h2><div id="swarm-plots"></div>'
             f'<h2>One drone</h2>{choice("plotted", "Of", ids)}<div id="plots"></div>'

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from crazychoir.config.number_lists import LAST_DRONE
 from crazychoir.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -186,11 +185,6 @@ def whole(
 def size(text: str, *names: str) -> Any:
     """Return an option for a number of drones, or of things with at most one for each drone."""
     return whole(text, *names, most=OPTION_LIMITS.drones)
-
-
-def drone(text: str, *names: str) -> Any:
-    """Return an option that takes the id of a drone."""
-    return whole(text, *names, least=0, most=LAST_DRONE)
 
 
 def seed(text: str, *names: str) -> Any:

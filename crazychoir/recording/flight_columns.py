@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 
 from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.recording.mcap.decode import MessageDecoder
+from crazychoir.recording.mcap.reading import read_header
 from crazychoir.recording.mcap.sequence import read_messages
 from crazychoir.runtime.clock import NS_PER_SECOND
 from crazychoir.simulation.identification.calibration.columns import (
@@ -28,10 +30,10 @@ FEWEST_VALUES = 2
 """Least number of values of a topic that can be interpolated."""
 
 
-def read_flight_columns(path: Path, drone: int | None = None) -> dict[str, Mat]:
+def read_flight_columns(path: Path, drone: int | str | None = None) -> dict[str, Mat]:
     """Return the columns of `calibration.columns` for one drone of a recording, a row each 10 ms.
 
-    drone: its id; None for the only drone with log variables
+    drone: its id, or its name in the recorded swarm; None for the only drone with log variables
     Raises ConfigError if the recording has no such drone, or lacks poses or log variables.
     """
     rows = _gather(path)
@@ -40,7 +42,7 @@ def read_flight_columns(path: Path, drone: int | None = None) -> dict[str, Mat]:
         raise ConfigError(
             str(path), f"log variables of drones {told}", "one drone", "Use --drone."
         )
-    i = told[0] if drone is None and told else drone
+    i = told[0] if drone is None and told else _find_id(path, drone)
     poses, references, logs = (rows.get((i, name), []) for name in COLUMN_TOPICS)
     if len(logs) < FEWEST_VALUES or len(poses) < FEWEST_VALUES:
         missing = "log variables" if len(logs) < FEWEST_VALUES else "poses"
@@ -53,6 +55,14 @@ def read_flight_columns(path: Path, drone: int | None = None) -> dict[str, Mat]:
             f"({', '.join(map(repr, FIRMWARE_LOGS))}, period=0.01) at its start.",
         )
     return regularise(_join(logs, poses, references), str(path))
+
+
+def _find_id(path: Path, drone: int | str | None) -> int | None:
+    """Return the id of a drone with this id or name in the recorded swarm."""
+    if not isinstance(drone, str):
+        return drone
+    config = SwarmConfig.loads(read_header(path).swarm, f"{path}: swarm.json")
+    return config.find_drones([drone], "--drone")[0]
 
 
 def _gather(path: Path) -> dict[tuple[int | None, str], list[tuple[float, Any]]]:

@@ -24,10 +24,10 @@ NO_CLOSED_LOOP = "no set-points that its firmware followed by itself: no closed 
 """Note of a flight that was controlled from outside."""
 
 
-def read_any_flight(path: Path, drone: int | None = None) -> RealFlight:
+def read_any_flight(path: Path, drone: int | str | None = None) -> RealFlight:
     """Read a flight, from a recording of --record or from a file of arrays.
 
-    drone: its id in a recording of several; None for the only drone with log variables
+    drone: its id or name in a recording of several; None for the only drone with log variables
     Raises ConfigError if it is no flight, lacks a column, or is too short.
     """
     if path.suffix == RECORDING_SUFFIX:
@@ -35,13 +35,13 @@ def read_any_flight(path: Path, drone: int | None = None) -> RealFlight:
     return read_flight(path)
 
 
-def read_recorded_flight(path: Path, drone: int | None = None) -> RealFlight:
+def read_recorded_flight(path: Path, drone: int | str | None = None) -> RealFlight:
     """Read the flight of one drone from a recording of --record.
 
     The drone's clock is aligned with that of the poses. The references of our controllers are no set-points of the
     firmware, so they are left out.
 
-    drone: its id; None for the only drone with log variables
+    drone: its id or name; None for the only drone with log variables
     Raises ConfigError as `read_flight_columns`, or if the drone does not fly long enough.
     """
     columns = read_flight_columns(path, drone)

@@ -8,9 +8,9 @@ import typer
 from rich import box
 from rich.table import Table
 
+from crazychoir.cli.shared.drone_choice import parse_drone_word, parse_one_drone
 from crazychoir.errors import ConfigError, CrazyChoirError
 from crazychoir.files.output_files import require_writable_file
-from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
     ANSWER_CONSOLE,
     CommandOutputs,
@@ -50,13 +50,15 @@ def calibrate(
         ),
     ] = None,
     drone: Annotated[
-        int | None, options.drone("Id of the drone in an .mcap of several.")
+        str | None,
+        typer.Option(help="The drone in an .mcap of several, by its id or name."),
     ] = None,
     swarm: Annotated[
         Path | None, typer.Option(help="Swarm file with the drone.", show_default=False)
     ] = None,
-    i: Annotated[
-        int | None, options.drone("Id of the drone in --swarm.", "--id")
+    target_drone: Annotated[
+        str | None,
+        typer.Option("--id", help="The drone in --swarm, by its id or name."),
     ] = None,
     write: Annotated[
         bool,
@@ -82,9 +84,11 @@ def calibrate(
 
     outputs = CommandOutputs()
     try:
-        target = _find_target(swarm, i, write)
+        i = _find_id(swarm, target_drone)
+        target = _find_target(swarm, write)
         row = _find_platform(platform, swarm, i)
-        flights = [_read_flight(path, drone) for path in files]
+        word = parse_drone_word(drone)
+        flights = [_read_flight(path, word) for path in files]
         found = identify(flights, row)
         table = _merge_tables(_find_known(swarm, i), found.table, files)
         if target is not None and found.table:
@@ -115,12 +119,20 @@ def calibrate(
         raise typer.Exit(1)
 
 
-def _find_target(swarm: Path | None, i: int | None, write: bool) -> Path | None:
-    """Return the file to write; raise ConfigError unless it and the drone are named and it can be written."""
-    if (i is None) != (swarm is None):
+def _find_id(swarm: Path | None, drone: str | None) -> int | None:
+    """Return the id of the drone in the swarm file; raise ConfigError unless both or none are given."""
+    from crazychoir.config.swarm_config import find_swarm
+
+    if (drone is None) != (swarm is None):
         raise ConfigError(
             "--swarm, --id", "one of both", "both: the swarm file, and the drone in it"
         )
+    choice = parse_one_drone(drone, "--id")
+    return None if choice is None else choice.find(find_swarm(str(swarm))[0])[0]
+
+
+def _find_target(swarm: Path | None, write: bool) -> Path | None:
+    """Return the file to write; raise ConfigError unless it is named and can be written."""
     if not write:
         return None
     if swarm is None:
@@ -143,7 +155,7 @@ def _find_platform(name: str | None, swarm: Path | None, i: int | None) -> Any:
     return find_platform(name or "cf21", "--platform")
 
 
-def _read_flight(path: Path, drone: int | None) -> "CalibrationFlight":
+def _read_flight(path: Path, drone: int | str | None) -> "CalibrationFlight":
     """Return one flight, ready to calibrate with; raise ConfigError if it cannot be used."""
     from crazychoir.recording.recorded_flight import RECORDING_SUFFIX
     from crazychoir.simulation.identification.calibration.columns import read_columns

@@ -36,11 +36,11 @@ def refuse_other_options(options: dict[str, Path | bool | None]) -> None:
 
 
 def compare_filters(
-    files: list[Path], drone: int | None, platform: str, as_json: bool
+    files: list[Path], drone: int | str | None, platform: str, as_json: bool
 ) -> None:
     """Score the filters on the poses of recorded flights, and print the errors.
 
-    drone: its id in recordings of several
+    drone: its id or name in recordings of several
 
     Raises ConfigError if a file is no flight, or the platform is not known.
     """

@@ -11,8 +11,8 @@ from crazychoir.cli.recordings.filter_tables import (
     compare_filters,
     refuse_other_options,
 )
+from crazychoir.cli.shared.drone_choice import parse_drone_word
 from crazychoir.errors import ConfigError, CrazyChoirError
-from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
     ANSWER_CONSOLE,
     ERROR_CONSOLE,
@@ -73,7 +73,8 @@ def validate(
         str, typer.Option(help="Platform of the simulated drone.")
     ] = "cf21",
     drone: Annotated[
-        int | None, options.drone("Id of the drone in an .mcap of several.")
+        str | None,
+        typer.Option(help="The drone in an .mcap of several, by its id or name."),
     ] = None,
     fit: Annotated[
         bool,
@@ -108,7 +109,7 @@ def validate(
     if filters:
         try:
             refuse_other_options({"--fit": fit, "--picture": picture, "--paths": paths})
-            compare_filters(files, drone, platform, as_json)
+            compare_filters(files, parse_drone_word(drone), platform, as_json)
         except CrazyChoirError as error:
             exit_with_error(error, as_json)
         return
@@ -128,7 +129,8 @@ def validate(
         row = find_platform(platform, "--platform")
         require_drawable(picture)
         require_drawable(paths)
-        read = [read_any_flight(path, drone) for path in files]
+        word = parse_drone_word(drone)
+        read = [read_any_flight(path, word) for path in files]
         windows = find_windows(read)
         scored = compare_models(windows, row, fit, ERROR_CONSOLE.print)
         flown = fly_again([one for one in read if one.setpoints is not None], row)

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from crazychoir.cli.operate.inspect import JsonOption
+from crazychoir.cli.shared.drone_choice import parse_single_drone
 from crazychoir.errors import CrazyChoirError
 from crazychoir.launch import number_options as options
 from crazychoir.launch.console import (
@@ -20,7 +21,7 @@ from crazychoir.launch.console import (
 
 
 def identify(
-    drone: Annotated[int, typer.Argument(help="Id of the drone.")],
+    drone: Annotated[str, typer.Argument(help="The drone, by its id or name.")],
     swarm: Annotated[
         str | None, typer.Option(help="Swarm file; else ./swarm.toml.")
     ] = None,
@@ -42,14 +43,15 @@ def identify(
 
     try:
         config, which = find_swarm(swarm)
-        require_reached(config, which, drone)
-        uri = config.drone(drone).uri
+        i = parse_single_drone(drone, "DRONE").find(config)[0]
+        require_reached(config, which, i)
+        uri = config.drone(i).uri
         dongle = next(
-            dongle for dongle, ids in config.topology.dongles.items() if drone in ids
+            dongle for dongle, ids in config.topology.dongles.items() if i in ids
         )
 
         def say(text: str) -> None:
-            ERROR_CONSOLE.print(f"drone {drone} ({uri}): {text}", highlight=False)
+            ERROR_CONSOLE.print(f"drone {i} ({uri}): {text}", highlight=False)
 
         async def light(clock: Clock) -> dict[str, float]:
             contents = TableOfContents(tables_folder())
@@ -69,7 +71,7 @@ def identify(
         write_json(
             {
                 "success": True,
-                "drone": drone,
+                "drone": i,
                 "uri": uri,
                 "seconds": seconds,
                 "parameters": lit,

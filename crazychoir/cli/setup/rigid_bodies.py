@@ -9,6 +9,7 @@ from rich.table import Table
 
 from crazychoir.cli.fly.mocap import SourceOption, with_source
 from crazychoir.cli.operate.inspect import JsonOption
+from crazychoir.cli.shared.drone_choice import DroneChoice, parse_single_drone
 from crazychoir.errors import ConfigError, CrazyChoirError, Refused
 from crazychoir.files.output_files import require_writable_file
 from crazychoir.launch import number_options as options
@@ -108,7 +109,7 @@ def names(
 
 @app.command()
 def calibrate(
-    drone: Annotated[int, typer.Argument(help="Id of the drone.")],
+    drone: Annotated[str, typer.Argument(help="The drone, by its id or name.")],
     turn: Annotated[
         bool,
         typer.Option(
@@ -142,39 +143,44 @@ def calibrate(
     outputs = CommandOutputs()
     try:
         file = _file(swarm, write)
+        choice = parse_single_drone(drone, "DRONE")
         config, frames = _gather_frames(
-            swarm, source, seconds or (20.0 if turn else 3.0), drone
+            swarm, source, seconds or (20.0 if turn else 3.0), choice
         )
+        (i,) = choice.find(config)
         found = (
-            _from_turn(config, drone, frames)
+            _from_turn(config, i, frames)
             if turn
-            else _from_rest(config, drone, frames, heading)
+            else _from_rest(config, i, frames, heading)
         )
-        keys = _measured_keys(config, drone, found)
-        _write(file, {drone: keys} if write else {}, outputs)
+        keys = _measured_keys(config, i, found)
+        _write(file, {i: keys} if write else {}, outputs)
     except CrazyChoirError as error:
         exit_with_error(error, as_json)
     written = write and not outputs.failed
     if as_json:
         write_json(
-            {"drone": drone, **keys, "found": found, "written": written, **outputs.told}
+            {"drone": i, **keys, "found": found, "written": written, **outputs.told}
         )
     else:
         ERROR_CONSOLE.print(
-            f"drone {drone}: {_in_words(found)}", highlight=False, soft_wrap=True
+            f"drone {i}: {_in_words(found)}", highlight=False, soft_wrap=True
         )
-        _print_lines({drone: keys}, written)
+        _print_lines({i: keys}, written)
     outputs.say()
     if outputs.failed:
         raise typer.Exit(1)
 
 
 def _gather_frames(
-    swarm: str | None, source: str | None, seconds: float, drone: int | None = None
+    swarm: str | None,
+    source: str | None,
+    seconds: float,
+    choice: DroneChoice | None = None,
 ) -> "tuple[SwarmConfig, list[PoseFrame]]":
     """Return the swarm, and the frames that its cameras see for `seconds`.
 
-    drone: the drone to calibrate, None for all drones that motion capture sees
+    choice: the drone to calibrate, None for all drones that motion capture sees
     """
     from crazychoir.config.swarm_config import find_swarm
     from crazychoir.mocap.gathering import gather_frames
@@ -183,7 +189,7 @@ def _gather_frames(
 
     found, which = find_swarm(swarm)
     config = with_source(found, source)
-    if drone is None and not config.topology.seen:
+    if choice is None and not config.topology.seen:
         do = "Name another swarm file by --swarm."
         raise ConfigError(
             which,
@@ -191,9 +197,9 @@ def _gather_frames(
             'uri = "udp://..." or "radio://..."',
             do,
         )
-    if drone is not None:
+    if choice is not None:
         # A drone that flies by its own estimate may have a body too.
-        require_reached(config, which, drone)
+        require_reached(config, which, choice.find(config)[0])
     ERROR_CONSOLE.print(
         f"looking for {seconds:g} s ({which}, source {config.mocap.source})",
         highlight=False,

@@ -57,14 +57,29 @@ def parse_choice(text: str, option: str) -> DroneChoice:
     return DroneChoice(option, tuple(dict.fromkeys(words)))
 
 
+def parse_single_drone(text: str, option: str) -> DroneChoice:
+    """Return the one drone of a text, an id or a name.
+
+    Raises ConfigError for another form.
+    """
+    choice = parse_choice(text, option)
+    if len(choice.words) != 1:
+        raise ConfigError(option, text, "one drone, by its id or its name")
+    return choice
+
+
 def parse_one_drone(text: str | None, option: str) -> DroneChoice | None:
     """Return the one drone of a text, an id or a name; None without a text.
 
     Raises ConfigError for another form.
     """
-    if text is None:
-        return None
-    choice = parse_choice(text, option)
-    if len(choice.words) != 1:
-        raise ConfigError(option, text, "one drone, by its id or its name")
-    return choice
+    return None if text is None else parse_single_drone(text, option)
+
+
+def parse_drone_word(text: str | None) -> int | str | None:
+    """Return the id or the name that --drone gives; None without a text.
+
+    Raises ConfigError for another form.
+    """
+    choice = parse_one_drone(text, "--drone")
+    return None if choice is None else choice.words[0]

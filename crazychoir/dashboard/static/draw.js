@@ -1,6 +1,6 @@
 // The drawing tab: show the strokes drawn by hand and the planned path over them, in metres, and send the path to the
 // selected drones.
-import { ask, chosen, colour, on, row, seen, selected, tell } from "./line.js";
+import { ask, chosen, colour, nameOf, on, row, seen, selected, tell } from "./line.js";
 import { showPaths } from "./scene.js";
 import { curves, number, numbers, prepared } from "./canvas.js";
 
@@ -156,7 +156,7 @@ function show() {
   const others = inTheWay(paths);
   const { duration, speed, acceleration, deviation } = plan;
   showPaths(paths);
-  const warning = others.length ? `. In the way, where they are now: drone ${others.join(", ")}` : "";
+  const warning = others.length ? `. In the way, where they are now: drone ${others.map(nameOf).join(", ")}` : "";
   const more = remarks.map((remark) => `. The file: ${remark}`).join("");
   const limits = `${duration} s, at most ${speed} m/s and ${acceleration} m/s²`;
   const away = trajectory ? trajectory.name : `at most ${Math.round(1000 * deviation)} mm away from the drawing`;

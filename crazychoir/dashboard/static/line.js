@@ -47,6 +47,9 @@ export function chosen() {
   return selected.size ? [...selected].sort((a, b) => a - b) : null;
 }
 
+// Return the drone i as it is named for people: its id, and its name in the swarm file.
+export const nameOf = (i) => seen.about?.names[i] ?? String(i);
+
 export function select(ids) {
   selected.clear();
   for (const i of ids) selected.add(i);

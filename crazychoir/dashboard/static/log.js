@@ -1,5 +1,5 @@
 // Show the log and the consoles of the drones' firmware, each with a filter; the newest line is the first.
-import { on, seen } from "./line.js";
+import { nameOf, on, seen } from "./line.js";
 import { make } from "./table.js";
 
 const FIRMWARE_PREFIX = "firmware: "; // of a line of a console, as the drones tell it
@@ -14,7 +14,7 @@ function moment(t, latest) {
   return new Date(Date.now() - 1000 * ((seen.at || latest) - t)).toLocaleTimeString("en-GB");
 }
 
-const origin = ({ drone }) => (drone == null ? "" : `drone ${drone}: `);
+const origin = ({ drone }) => (drone == null ? "" : `drone ${nameOf(drone)}: `);
 
 // Show the lines that the server sends of this kind.
 // filter: the field with the filter

@@ -1,5 +1,5 @@
 // Browse the parameters of the firmware of a drone: list them by groups, read the values of an open group, and set one.
-import { ask, on, tell } from "./line.js";
+import { ask, nameOf, on, tell } from "./line.js";
 import { make, set } from "./table.js";
 
 const MAX_OPENED_GROUPS = 3; // a filter that leaves no more groups opens all of them
@@ -21,7 +21,7 @@ export const parameters = {
     values = {};
     isAsked = ask({ ask: "list-parameters", drone: drone() });
     show();
-    if (isAsked) said(`Drone ${drone()} is asked for its parameters.`);
+    if (isAsked) said(`Drone ${nameOf(drone())} is asked for its parameters.`);
   },
 };
 

@@ -1,6 +1,6 @@
 // Show the receipts of commands: all in a list; the newest, and the last failure, in the header above every tab. Show a
 // command of this page as sent until the server returns its receipt. stops.js shows the stops in the header.
-import { on } from "./line.js";
+import { nameOf, on } from "./line.js";
 import { make, set } from "./table.js";
 
 const ANSWER_TIMEOUT = 1000; // ms from a command until the server must have returned a receipt
@@ -18,7 +18,7 @@ let raised = ""; // the failure of a receipt that was shown last: each is shown 
 let frames = 0; // on this line; a receipt before the second frame may be old
 let waiting = []; // commands without a receipt, oldest first
 
-export const among = (ids) => (ids.length > MAX_NAMED_DRONES ? `${ids.length} drones` : ids.join(", "));
+export const among = (ids) => (ids.length > MAX_NAMED_DRONES ? `${ids.length} drones` : ids.map(nameOf).join(", "));
 
 // Return the text of an answer.
 function textOf(said) {

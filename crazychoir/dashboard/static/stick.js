@@ -1,7 +1,7 @@
 // Fly one chosen drone by hand: arrow keys on the focused pad, or the sticks of a gamepad while a shoulder button is held.
 // While the operator holds something, a velocity is sent at each look; at the release one zero velocity, after which the
 // drone rests. Without new velocities the drone stops by itself.
-import { ask, chosen, isOpen, on, tell } from "./line.js";
+import { ask, chosen, isOpen, nameOf, on, tell } from "./line.js";
 import { set } from "./table.js";
 
 const LOOK_PERIOD = 100; // ms between two velocities
@@ -77,7 +77,7 @@ function look() {
   const speed = Number(find("stick_speed").value) || 0;
   const [x, y, z, yaw] = wish;
   ask({ ask: "steer", drone: flown, v: [x * speed, y * speed, z * speed], yaw_rate: yaw * YAW_RATE });
-  say(`drone ${flown} flies by hand`);
+  say(`drone ${nameOf(flown)} flies by hand`);
 }
 
 function letGo() {

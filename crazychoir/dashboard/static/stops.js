@@ -1,6 +1,6 @@
 // Keep each stop that the operator presses until its receipt arrives, and send it first on a new line. Show in the header the
 // stops in force, as the drones report them, and the drones that have not obeyed a stop of this server yet.
-import { ask, isOpen, on, seen, send } from "./line.js";
+import { ask, isOpen, nameOf, on, seen, send } from "./line.js";
 import { STOP_VERB, among, told } from "./receipts.js";
 import { set } from "./table.js";
 
@@ -43,7 +43,7 @@ function sendKept() {
 // Return the drones that these stops address, as text.
 function names(stops) {
   if (stops.some(({ drones }) => !drones)) return "ALL";
-  return [...new Set(stops.flatMap(({ drones }) => drones))].join(", ");
+  return [...new Set(stops.flatMap(({ drones }) => drones))].map(nameOf).join(", ");
 }
 
 // Send the kept stops, and show in the header what they wait for.

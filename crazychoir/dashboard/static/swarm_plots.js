@@ -1,6 +1,6 @@
 // Plot battery and link of the chosen drones over time; without a choice those of all drones.
 import { curves } from "./canvas.js";
-import { chosen, colour, on, seen } from "./line.js";
+import { chosen, colour, nameOf, on, seen } from "./line.js";
 import { make } from "./table.js";
 
 const SHOWN_TIME = 600; // s
@@ -42,7 +42,7 @@ function paint() {
   Object.values(canvases).forEach((canvas, c) => {
     if (!canvas.clientWidth) return;
     const list = ids.map((i) => ({
-      name: ids.length > MAX_NAMED_CURVES ? "" : `drone ${i}`,
+      name: ids.length > MAX_NAMED_CURVES ? "" : `drone ${nameOf(i)}`,
       values: samples.map(({ values }) => values.get(i)?.[c] ?? NaN),
       tint: tint(all.indexOf(i)),
     }));

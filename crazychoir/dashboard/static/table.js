@@ -1,12 +1,12 @@
 // Show the drones in a table with a box to select each.
-import { chosen, on, select, selected } from "./line.js";
+import { chosen, nameOf, on, select, selected } from "./line.js";
 
 const LOSS_TITLE = "share of the drone's messages to other drones that the simulated network has lost; not measured on a real network";
 const RADIO_TITLE = "radio link, signal strength, and share of radio packets that the drone has answered, all measured";
 const MAX_LISTED_SELECTION = 12; // of a longer selection only the number is shown
 // Each column: its name, its text for a drone, and its explanation.
 const TABLE_COLUMNS = [
-  ["drone", (d) => d.id], ["phase", (d) => (d.heard ? d.phase : "not heard")], ["task", (d) => d.task],
+  ["drone", (d) => nameOf(d.id)], ["phase", (d) => (d.heard ? d.phase : "not heard")], ["task", (d) => d.task],
   ["battery", (d) => unit(d.battery, "V")], ["latency", (d) => (d.latency == null ? "" : `${Math.round(1000 * d.latency)} ms`)],
   ["radio", radio, RADIO_TITLE], ["simulated loss", (d) => `${Math.round(100 * d.lost)} %`, LOSS_TITLE],
   ["pose age", (d) => unit(d.age, "s")], ["round", (d) => d.round], ["cost", (d) => d.cost ?? ""],
@@ -42,7 +42,7 @@ function build(table, about) {
   body = make("tbody");
   rows.clear();
   for (const i of about.ids) {
-    const box = make("input", { type: "checkbox", "aria-label": `drone ${i}` });
+    const box = make("input", { type: "checkbox", "aria-label": `drone ${nameOf(i)}` });
     box.addEventListener("change", () => select(box.checked ? [...selected, i] : [...selected].filter((j) => j !== i)));
     const cells = TABLE_COLUMNS.map(([name], c) => make(c ? "td" : "th", c ? { "data-of": name } : { scope: "row" }));
     const row = make("tr", { "data-drone": i }, make("td", {}, box), ...cells);
@@ -72,7 +72,7 @@ export function start({ table, caption }) {
     }
     if (!ids) set(caption, "for all drones");
     else if (ids.length > MAX_LISTED_SELECTION) set(caption, `for ${ids.length} drones`);
-    else set(caption, `for drone ${ids.join(", ")}`);
+    else set(caption, `for drone ${ids.map(nameOf).join(", ")}`);
   });
   set(caption, chosen() ?? "for all drones");
 }

@@ -1,6 +1,6 @@
 // Add tasks by clicks on the floor or by numbers, list and cancel them, and set goals by clicks.
 import { numbers } from "./canvas.js";
-import { ask, on } from "./line.js";
+import { ask, nameOf, on } from "./line.js";
 import { make } from "./table.js";
 
 const find = (id) => document.getElementById(id);
@@ -50,7 +50,7 @@ function list(known) {
   if (!pickup) said(`${known.length} tasks, ${open} to do`);
   find("tasks").replaceChildren(...known.map((task) => {
     const ways = [task.pickup, task.delivery].filter(Boolean).map((spot) => spot.map((x) => x.toFixed(2)).join(", ")).join(" → ");
-    const robot = task.robot == null ? "" : ` drone ${task.robot}`;
+    const robot = task.robot == null ? "" : ` drone ${nameOf(task.robot)}`;
     const item = make("li", { "data-task": task.id }, `task ${task.id}: ${ways} m, load ${task.load}: ${task.fate}${robot} `);
     if (task.fate === "open") {
       const cancel = make("button", { "aria-label": `cancel task ${task.id}` }, "cancel");

@@ -25,7 +25,7 @@ class Seen:
     def __init__(self, clock):
         self.clock, self.bus, self.watch = clock, Bus(clock), EventLog(clock)
         drones = [
-            {"id": 3, "home": [0, 0, 0]},
+            {"id": 3, "name": "cf3", "home": [0, 0, 0]},
             {"id": 7, "home": [1.0, 0, 0], "leader": True},
         ]
         self.config = SwarmConfig.of({"name": "a", "drones": drones, "edges": [[3, 7]]})
@@ -224,6 +224,7 @@ async def test_costs_are_noted_by_rounds(clock):
 async def test_what_does_not_change_is_told_in_plain_values(clock):
     about = Seen(clock).model.about()
     assert (about["ids"], about["edges"], about["leaders"]) == ([3, 7], [(3, 7)], [7])
+    assert about["names"] == {"3": "3 cf3", "7": "7"}
     assert about["fence"] == [[-4.0, -4.0, 0.0], [4.0, 4.0, 3.0]]
     assert about["limit"] == [[-4.5, -4.5, -0.5], [4.5, 4.5, 3.5]]
     assert about["height"] == 1.0

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
 from crazychoir.numerics.math3d import STANDARD_GRAVITY
 from crazychoir.recording.flight_columns import read_flight_columns
@@ -15,9 +16,9 @@ STEP_NS = 10_000_000
 ROWS = 600
 
 
-def record(path, *, drones=(3,), logs=FIRMWARE_LOGS):
+def record(path, *, drones=(3,), logs=FIRMWARE_LOGS, swarm="{}"):
     """Write poses, references and log variables; in row k the place is 0.001 k m, 5 ms after the logs."""
-    file = RecordingFile(path, {"version": "1"}, "{}", False)
+    file = RecordingFile(path, {"version": "1"}, swarm, False)
     kinds = {"pose": Pose, "reference": FullState, "telemetry": dict}
     entries = []
     for drone in drones:
@@ -72,3 +73,12 @@ def test_one_of_several_drones_must_be_chosen(tmp_path):
     with pytest.raises(ConfigError, match="--drone"):
         read_flight_columns(path)
     assert len(read_flight_columns(path, 4)["t"]) == ROWS
+
+
+def test_a_drone_is_chosen_by_its_name_in_the_recorded_swarm(tmp_path):
+    drones = [{"id": i, "name": f"cf{i}", "home": [0, i - 3, 0]} for i in (3, 4)]
+    swarm = SwarmConfig.of({"name": "lab", "drones": drones}).dumps()
+    path = record(tmp_path / "a.mcap", drones=(4,), swarm=swarm)
+    assert len(read_flight_columns(path, "cf4")["t"]) == ROWS
+    with pytest.raises(ConfigError, match=r"found cf5.*cf3, cf4"):
+        read_flight_columns(path, "cf5")

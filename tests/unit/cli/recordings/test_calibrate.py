@@ -17,6 +17,7 @@ SWARM = """name = "lab"  # ours
 
 [[drones]]
 id = 3
+name = "cf3"
 home = [0.0, 0.0, 0.0]
 platform = "cf21"
 """
@@ -80,7 +81,7 @@ def test_the_answer_has_each_parameter_with_its_error_and_source(calibrate):
 
 
 def test_what_was_found_is_written_into_the_swarm_file_and_read_again(calibrate, swarm):
-    done = calibrate(FLIGHT, "--swarm", swarm, "--id", 3, "--write", "--json")
+    done = calibrate(FLIGHT, "--swarm", swarm, "--id", "cf3", "--write", "--json")
     answer = json.loads(done.stdout)
     assert answer["written"]
     assert swarm.read_text().startswith(SWARM)
@@ -135,7 +136,8 @@ def test_a_recording_without_log_variables_is_refused_with_what_to_record(
     [
         (["none.npz"], "none.npz"),
         ([FLIGHT, "--write"], "--swarm FILE and --id N"),
-        ([FLIGHT, "--id", 3], "--swarm, --id"),
+        ([FLIGHT, "--id", "cf3"], "--swarm, --id"),
+        ([FLIGHT, "--drone", "3-4"], "one drone, by its id or its name"),
         ([FLIGHT, "--platform", "cf99"], "--platform"),
     ],
 )

@@ -121,7 +121,7 @@ def test_rest_shows_tilt_and_height_and_a_turn_the_offset(lab, tmp_path):
     [
         (
             ("calibrate", 5),
-            "DRONE: found 5; allowed: drones that a radio reaches: [0, 1]",
+            "DRONE: found drone 5; allowed: 0 to 1",
         ),
         (
             ("calibrate", 1),
