@@ -50,10 +50,22 @@ SYSTEM_PROGRAMS = {
     "vrpn": "its VRPN server",
 }
 """The program that each system needs."""
+SYSTEM_PORTS = {"vicon": 801, "qualisys": 22223, "vrpn": 3883}
+"""TCP port of each system, by the manuals of DataStream, QTM (real-time protocol) and VRPN.
+
+OptiTrack has UDP ports alone.
+"""
 MOCAP_LIBRARY = "motioncapture"
 """The library."""
 MOCAP_EXTRA = "mocap"
 """The extra of this package that installs the library."""
+LIBRARY_ADVICE = f"pip install 'crazychoir[{MOCAP_EXTRA}]'"
+"""Command that installs the library."""
+
+
+def has_library() -> bool:
+    """Return whether the library is installed."""
+    return importlib.util.find_spec(MOCAP_LIBRARY) is not None
 
 
 class _AttemptFailed(Exception):
@@ -86,13 +98,12 @@ class SystemSource:
         deadline: float = 5.0,
         say: ReportText | None = None,
     ) -> None:
-        if importlib.util.find_spec(MOCAP_LIBRARY) is None:
-            do = f"pip install 'crazychoir[{MOCAP_EXTRA}]'"
+        if not has_library():
             raise ConfigError(
                 f'[mocap] source = "{system}"',
                 f"no module {MOCAP_LIBRARY}",
                 f"the extra {MOCAP_EXTRA}",
-                f"{do}.",
+                f"{LIBRARY_ADVICE}.",
             )
         self.clock = clock
         self.where = f"{system} at {hostname}"
@@ -154,16 +165,18 @@ class SystemSource:
         self.state = "connecting"
         hangs = f"no connection within {self._deadline:g} s; its library waits for ever if no server answers."
         await self._next(ours, self._deadline, hangs)
-        self.state = "connected"
+        # The library of Vicon returns at once, whether or not a system answers.
+        self.state = "waiting for its first frame"
+        silent = f"no frame within {FRAME_TIMEOUT:g} s: nothing answers, or it sends nothing."
         while True:
-            data = await self._next(
-                ours, FRAME_TIMEOUT, f"connected, and no frame for {FRAME_TIMEOUT:g} s."
-            )
+            data = await self._next(ours, FRAME_TIMEOUT, silent)
             try:
                 frame = parse_frame(data)
             except CodecError:
                 self.malformed += 1
                 continue
+            self.state = "connected"
+            silent = f"connected, and no frame for {FRAME_TIMEOUT:g} s."
             self._wait = ATTEMPT_TIMING.first_pause
             take(frame, max(0.0, self.clock.now() - frame.time))
 

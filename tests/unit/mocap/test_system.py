@@ -111,6 +111,18 @@ def test_frames_come_with_their_age_and_cameras_that_hang_later_are_named(
     assert said[0].startswith("vicon at 10.0.0.5: connected, and no frame for 0.3 s.")
 
 
+def test_a_library_that_connects_to_nothing_does_not_count_as_connected(
+    library, monkeypatch
+):
+    monkeypatch.setattr("crazychoir.mocap.system.FRAME_TIMEOUT", 0.3)
+    library(SEES.replace("> 20", "> 0"))
+    taken, said, _ = watched(15.0, until=1, deadline=5.0)
+    assert not taken
+    assert said[0].startswith(
+        "vicon at 10.0.0.5: no frame within 0.3 s: nothing answers, or it sends nothing."
+    )
+
+
 def test_without_the_library_it_is_said_what_to_install(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(
