@@ -141,7 +141,7 @@ def find_missing_files(config: "SwarmConfig") -> list[CheckResult]:
 def check_network(config: "SwarmConfig", host: str | None) -> list[CheckResult]:
     """Return the checks of the network and the devices of this host.
 
-    They concern addresses, ports, other hosts, keys, radios, and memory for its processes.
+    They concern addresses, ports, other hosts, keys, radios, cameras, and memory for its processes.
     """
     from crazychoir.cli.setup import host_checks, host_facts
     from crazychoir.config.addresses import Addresses
@@ -183,11 +183,38 @@ def check_network(config: "SwarmConfig", host: str | None) -> list[CheckResult]:
     uris = [config.drone(i).uri for i in ids]
     numbers = [int(uri.split("/")[2]) for uri in uris if uri.startswith("radio://")]
     rows += host_checks.check_crazyradios(host_facts.crazyradios(), numbers)
+    rows += check_cameras(config, here)
     addresses = Addresses(config)
     processes = sum(
         _is_here(addresses.host_of(process), here) for process in addresses.endpoints()
     )
     return [*rows, host_checks.check_memory(host_facts.memory_mb(), processes)]
+
+
+def check_cameras(config: "SwarmConfig", hosts: list[str]) -> list[CheckResult]:
+    """Return the checks of the motion capture system, from the host on which it is read.
+
+    hosts: names of this machine in [hosts]
+    """
+    from crazychoir.cli.fly.mocap import host_and_port
+    from crazychoir.cli.setup import camera_checks, host_facts
+    from crazychoir.mocap.system import SYSTEM_PORTS, SYSTEM_PROGRAMS, has_library
+
+    source = config.mocap.source
+    if not config.topology.seen:
+        return [camera_checks.report_no_cameras("no drone is seen by cameras")]
+    if not _is_here(config.mocap.host, hosts):
+        where = f"read on host {config.mocap.host}: ask crazychoir doctor there"
+        return [camera_checks.report_no_cameras(where)]
+    if source in camera_checks.SOURCES_WITHOUT_LIBRARY:
+        return [camera_checks.describe_other_source(config.mocap)]
+    rows = [camera_checks.check_library(source, has_library())]
+    if source in SYSTEM_PROGRAMS:
+        name, own_port = host_and_port(config.mocap.hostname)
+        port = int(own_port) if own_port.isdecimal() else SYSTEM_PORTS.get(source)
+        answer = "" if port is None else host_facts.connect_to_host(name, port)
+        rows.append(camera_checks.check_system(source, name, port, answer))
+    return rows
 
 
 def listening_processes(

@@ -12,6 +12,7 @@ from crazychoir.bus.network import authority
 from crazychoir.cli.setup import doctor, host_checks, host_facts
 from crazychoir.cli.setup.host_checks import UsbDevice, is_wrong
 from crazychoir.config.addresses import PROCESS_NUMBERS
+from crazychoir.config.swarm_config import find_swarm
 
 SWARM = """
 name = "lab"
@@ -306,3 +307,57 @@ def test_its_exit_code_says_that_something_is_wrong(tmp_path):
 )
 def test_each_process_has_a_name(process, name):
     assert doctor.describe_process(process) == name
+
+
+CAMERAS = """
+name = "lab"
+mission = "operator"
+[mocap]
+source = "{source}"
+hostname = "127.0.0.1:{port}"
+[[drones]]
+id = 0
+home = [0, 0, 0]
+uri = "radio://0/80/2M/E7E7E7E700"
+"""
+
+
+def cameras(folder, source, port):
+    """Return the checks of a swarm with cameras of this source at this port, by their names."""
+    file = folder / "lab.toml"
+    file.write_text(CAMERAS.format(source=source, port=port))
+    config = find_swarm(str(file))[0]
+    return {row.what: row for row in doctor.check_cameras(config, [])}
+
+
+def test_cameras_that_answer_are_well(tmp_path, taken):
+    rows = cameras(tmp_path, "vicon", taken)
+    assert rows["cameras"].state == "ok"
+    assert f"vicon at 127.0.0.1 answers at port {taken}" in rows["cameras"].found
+
+
+def test_cameras_that_do_not_answer_are_named_with_their_program(tmp_path, free):
+    cause = cameras(tmp_path, "vicon", free)["cameras"]
+    assert cause.state == "wrong"
+    assert f"nothing listens at port {free}" in cause.found
+    assert "Is Vicon Tracker or Nexus" in cause.mend
+
+
+def test_cameras_that_cannot_be_asked_are_said_not_to_be_checked(tmp_path):
+    cause = cameras(tmp_path, "optitrack", "")["cameras"]
+    assert cause.state == "warning"
+    assert "not checked" in cause.found
+
+
+def test_a_missing_library_of_cameras_is_named(tmp_path, taken, monkeypatch):
+    monkeypatch.setattr("crazychoir.mocap.system.has_library", lambda: False)
+    cause = cameras(tmp_path, "vicon", taken)["package motioncapture"]
+    assert (cause.state, cause.mend) == ("wrong", "pip install 'crazychoir[mocap]'")
+
+
+def test_a_host_without_cameras_says_so(tmp_path, free, taken):
+    here = find_swarm(lab(tmp_path, free))[0]
+    (cause,) = doctor.check_cameras(here, ["here"])
+    assert (cause.state, cause.found) == ("not here", "no drone is seen by cameras")
+    virtual = cameras(tmp_path, "virtual", taken)["cameras"]
+    assert virtual.state == "not here"
