@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from crazychoir.agent.mission_result import MISSION_REASONS
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.errors import ConfigError, reason_or
@@ -30,6 +32,8 @@ from crazychoir.recording.mcap.sequence import read_messages
 
 DATA_TOPICS = (*FLIGHT_TOPICS, DRONE_TOPICS.status.name, DRONE_TOPICS.result.name)
 """Topics with at least one message in a recording of a flight."""
+FORMATION_FIGURES = ("formation_error_m", "settling_s")
+"""Figures of a mission with a goal, which a recording of its run has."""
 NO_RECORDED_RESULT = "no result in the recording"
 """Reason of a drone that has no recorded result."""
 
@@ -50,9 +54,13 @@ class RecordedData:
     """Log variables of the drones; empty if they told none."""
 
     def figures(self) -> dict[str, Any]:
-        """Return the figures of the recorded positions."""
+        """Return the figures of the recorded positions, and the recorded ones of the formation."""
         began, ended = self.recording.seconds
-        return {"seconds": float(ended - began), **self.flight.figures()}
+        recorded = json.loads(self.recording.outcome.get(FIGURES_KEY, "{}"))
+        formation = {
+            name: recorded[name] for name in FORMATION_FIGURES if name in recorded
+        }
+        return {"seconds": float(ended - began), **self.flight.figures(), **formation}
 
     def run_figures(self) -> dict[str, Any]:
         """Return the figures of the run; dictionaries of drones have their ids as keys.
@@ -106,6 +114,8 @@ class RecordedData:
         tables: dict[str, Callable[[Path], None]] = {
             f"drone{track.drone}": track.write for track in self.flight.tracks
         }
+        if np.isfinite(self.flight.separation).any():
+            tables["separation"] = self.flight.write_separation
         if self.logged.rows:
             tables["logs"] = self.logged.write
         return tables | {

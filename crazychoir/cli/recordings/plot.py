@@ -148,6 +148,11 @@ def _show(recording: "Recording", figures: dict[str, Any]) -> None:
         ANSWER_CONSOLE.print(
             f"Least distance of two drones: {least:.3f} m", highlight=False
         )
+    if "formation_error_m" in figures:
+        settling = figures["settling_s"]
+        when = "not settled" if settling is None else f"settled after {settling:.2f} s"
+        text = f"Error of the formation at its end: {figures['formation_error_m']:.4f} m, {when}"
+        ANSWER_CONSOLE.print(text, highlight=False)
 
 
 def _cell(figure: float | str | None) -> str:

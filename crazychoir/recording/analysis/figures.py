@@ -8,6 +8,8 @@ import numpy as np
 from scipy.spatial.distance import pdist
 
 from crazychoir.bus.topics import DRONE_TOPICS
+from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.errors import ConfigError
 from crazychoir.recording.mcap.odometry import rotate_to_world
 from crazychoir.recording.mcap.reading import RecordedValues, Recording
 from crazychoir.types import Mat, Vec
@@ -42,6 +44,7 @@ TRACK_COLUMNS = (
     "tracking_error_m",
     "estimation_error_m",
 )
+SEPARATION_COLUMNS = ("t_s", "least_distance_m")
 
 
 @dataclass(frozen=True)
@@ -143,6 +146,19 @@ class RecordedFlight:
     """(m,) m: least distance between two drones at these times; NaN where fewer than two are
     known.
     """
+    kept_distance: float | None = None
+    """m: level distance that the collision filter keeps between two drones; None without a filter."""
+
+    def write_separation(self, path: Path) -> None:
+        """Write a CSV file with the least distance of two drones, one row a time."""
+        np.savetxt(
+            path,
+            np.column_stack([self.times, self.separation]),
+            fmt="%.6f",
+            delimiter=",",
+            header=",".join(SEPARATION_COLUMNS),
+            comments="",
+        )
 
     def figures(self) -> dict[str, Any]:
         """Return the figures of the flight and of each drone."""
@@ -171,7 +187,27 @@ def recorded_flight(recording: Recording) -> RecordedFlight:
         tuple(tracks),
         times,
         np.array([_least_distance(places[:, k]) for k in range(len(times))]),
+        _find_kept_distance(recording),
     )
+
+
+def _find_kept_distance(recording: Recording) -> float | None:
+    """Return the distance that the filter of the recorded swarm keeps; None without a filter.
+
+        d = 2 s_x + margin
+
+    s_x: first semi-axis of the ellipsoid around each drone
+    """
+    if not recording.swarm:
+        return None
+    where = f"{recording.path}: swarm.json"
+    try:
+        collision = SwarmConfig.loads(recording.swarm, where).collision
+    except ConfigError:
+        return None  # a swarm of another version
+    if collision.method == "off":
+        return None
+    return 2.0 * collision.semi_axes[0] + collision.margin
 
 
 def interpolate_track(t: Vec, x: Mat, at: Vec) -> Mat:

@@ -149,24 +149,29 @@ def _draw_heights(figure: "Figure", flight: RecordedFlight) -> None:
 def _draw_separation(figure: "Figure", flight: RecordedFlight) -> None:
     axes = figure.add_subplot()
     axes.plot(flight.times, flight.separation, color=PICTURE_STYLE.colours[0])
-    axes.axhline(
-        SWARM_LIMITS.touching_distance,
-        color=PICTURE_STYLE.colours[1],
-        linestyle=PICTURE_STYLE.dashes[1],
-        linewidth=0.8,
-    )
+    limits = {"may touch": SWARM_LIMITS.touching_distance}
+    if flight.kept_distance is not None:
+        limits["kept side by side"] = flight.kept_distance
+    for k, (name, limit) in enumerate(limits.items(), 1):
+        _draw_limit(axes, f"{name}: {limit:g} m", limit, float(flight.times[-1]), k)
+    axes.set_ylim(bottom=0.0)
+    set_time_axis(axes, float(flight.times[-1]), "least distance of two [m]")
+
+
+def _draw_limit(axes: Any, text: str, limit: float, last: float, k: int) -> None:
+    """Draw a level line in the style k with its text at its right end, `last` s."""
+    colour = PICTURE_STYLE.colours[k]
+    axes.axhline(limit, color=colour, linestyle=PICTURE_STYLE.dashes[k], linewidth=0.8)
     axes.annotate(
-        f"may touch: {SWARM_LIMITS.touching_distance:g} m",
-        (flight.times[-1], SWARM_LIMITS.touching_distance),
+        text,
+        (last, limit),
         xytext=(0, 2),
         textcoords="offset points",
         ha="right",
         va="bottom",
-        color=PICTURE_STYLE.colours[1],
+        color=colour,
         fontsize=7,
     )
-    axes.set_ylim(bottom=0.0)
-    set_time_axis(axes, float(flight.times[-1]), "least distance of two [m]")
 
 
 def set_time_axis(axes: Any, last: float, label: str) -> None:

@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from crazychoir.cli.main import app
 from crazychoir.config.swarm_config import default_swarm
+from crazychoir.launch.flight import FIGURES_KEY
 from crazychoir.launch.recording import describe_flight
 from crazychoir.recording.analysis import plots
 from crazychoir.recording.mcap.file import RecordingEntry, RecordingFile, Series
@@ -48,7 +49,7 @@ def plot(tmp_path, monkeypatch):
     monkeypatch.setattr(plots, "PICTURE_FORMATS", ("png",))
     monkeypatch.setenv("COLUMNS", "200")
 
-    def run(*topics, unseen=""):
+    def run(*topics, unseen="", figures=None):
         path = tmp_path / "a.mcap"
         path.unlink(missing_ok=True)
         file = RecordingFile(
@@ -66,7 +67,7 @@ def plot(tmp_path, monkeypatch):
                     ns = round((100.0 + t) * 1e9)
                     entries.append(RecordingEntry(series, ns, ns, pack(value, ns)))
         file.write(entries)
-        file.close()
+        file.close({FIGURES_KEY: json.dumps(figures or {})})
         words = ["plot", str(path), "--out", str(tmp_path / "out")]
         done, shown = (
             CliRunner().invoke(app, [*words, *more]) for more in (["--json"], [])
@@ -102,6 +103,13 @@ def test_states_and_statuses_are_enough(plot):
         "Not drawn: tracking: no reference while it was known where a drone was; convergence: no result"
         in shown
     )
+
+
+def test_the_recorded_error_of_a_formation_is_told(plot):
+    figures = {"formation_error_m": 0.00123, "settling_s": None}
+    _, told, _, shown = plot("truth", figures=figures)
+    assert (told["formation_error_m"], told["settling_s"]) == (0.00123, None)
+    assert "Error of the formation at its end: 0.0012 m, not settled" in shown
 
 
 def test_truth_is_used_only_for_drones_that_the_camera_saw(plot):

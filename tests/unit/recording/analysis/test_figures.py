@@ -7,6 +7,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 from crazychoir.config.checks import SWARM_LIMITS
+from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.recording.analysis import plots
 from crazychoir.recording.analysis.figures import TRACK_COLUMNS, recorded_flight
 from crazychoir.recording.analysis.plots import (
@@ -260,6 +261,29 @@ def test_distances_are_drawn_with_the_one_at_which_drones_may_touch(tmp_path):
         SWARM_LIMITS.touching_distance,
     ]
     assert legend == []
+
+
+def test_the_distance_that_the_filter_keeps_is_drawn(tmp_path):
+    found = recording(tmp_path)
+    drones = [{"id": i, "home": [0, i, 0]} for i in (0, 1)]
+    collision = {"semi_axes": [0.15, 0.15, 0.3], "margin": 0.1}
+    swarm = {"name": "lab", "drones": drones, "collision": collision}
+    found.swarm = SwarmConfig.of(swarm).dumps()
+    axes, _ = drawn(found, "separation")
+    assert [data(line)[1][0] for line in axes.lines[1:]] == pytest.approx(
+        [SWARM_LIMITS.touching_distance, 0.4]
+    )
+    assert "kept side by side: 0.4 m" in [text.get_text() for text in axes.texts]
+    off = collision | {"method": "off"}
+    found.swarm = SwarmConfig.of(swarm | {"collision": off}).dumps()
+    assert recorded_flight(found).kept_distance is None
+
+
+def test_the_distances_are_a_table(tmp_path):
+    recorded_flight(recording(tmp_path)).write_separation(tmp_path / "a.csv")
+    rows = np.genfromtxt(tmp_path / "a.csv", delimiter=",", names=True)
+    assert rows.dtype.names == ("t_s", "least_distance_m")
+    assert rows["least_distance_m"][0] == pytest.approx(1.0)
 
 
 def test_a_drone_that_is_drawn_by_its_own_state_is_marked(tmp_path):
