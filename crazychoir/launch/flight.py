@@ -25,6 +25,7 @@ from crazychoir.guidance.mission import Mission, has_hook
 from crazychoir.launch.flight_observer import FlightScore, Watch, list_goals
 from crazychoir.launch.network import make_observer_link, run_attached
 from crazychoir.launch.processes import WORLD_OWNER, Owner, SwarmLauncher, run_children
+from crazychoir.launch.virtual_bodies import VirtualBodies, add_crashes
 from crazychoir.mocap.system import MOCAP_EXTRA, MOCAP_LIBRARY
 from crazychoir.recording.mcap.file import RecordingFile
 from crazychoir.recording.recorder import Recorder
@@ -210,12 +211,14 @@ def fly_real(
                 lambda: do_all_wait(config, score),
                 list_owners(config, started),
             )
+        results = add_crashes(results, bodies.find_crashes())
         ready = began if score.go_at is None else score.go_at
         wall = clock.now() - ready
         flown = summarise_flight(config, mission, results, score, wall, wall, started)
         flown["startup_s"] = ready - began
         return flown | {"recording": _end_recording(recorder, flown)}
 
+    bodies = VirtualBodies(config)
     return run_wall(main)
 
 
