@@ -12,6 +12,7 @@ from crazychoir.api.running.blocking import LoopThread
 from crazychoir.api.running.running_swarm import RunningSwarm
 from crazychoir.api.running.swarm_run import BODY_KINDS, SwarmRun
 from crazychoir.errors import ProcessFailed
+from crazychoir.recording.mcap.file import require_new_recording
 
 
 def connect(swarm: str | Path | None = None, *, console: bool = False) -> RunningSwarm:
@@ -60,6 +61,8 @@ def launch(
     record: new file to record the flight into (.mcap)
     Raises ConfigError for what cannot fly, ProcessFailed if the run does not start.
     """
+    if record is not None:
+        require_new_recording(Path(record))
     file = None if swarm is None else str(swarm)
     config, _ = FlightRequest(mission, drones, file).choose()
     run = SwarmRun(config, bodies, processes, record)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from crazychoir.errors import ConfigError
 from crazychoir.recording.flight_columns import read_flight_columns
 from crazychoir.simulation.identification.calibration.flight import find_delay
 from crazychoir.simulation.identification.calibration.telemetry import find_interpolated
@@ -18,6 +19,8 @@ from crazychoir.simulation.identification.flights import (
 
 RECORDING_SUFFIX = ".mcap"
 """Suffix of the recordings of `--record`."""
+SWARM_SUFFIX = ".toml"
+"""Suffix of swarm files, which users take for flights."""
 LOST_GAP = 1.0
 """s: gap of rows that were interpolated over lost packets; longer than each that counts as known."""
 NO_CLOSED_LOOP = "no set-points that its firmware followed by itself: no closed loop"
@@ -30,6 +33,9 @@ def read_any_flight(path: Path, drone: int | str | None = None) -> RealFlight:
     drone: its id or name in a recording of several; None for the only drone with log variables
     Raises ConfigError if it is no flight, lacks a column, or is too short.
     """
+    if path.suffix == SWARM_SUFFIX:
+        do = f"crazychoir doctor --swarm {path} checks a swarm file."
+        raise ConfigError(str(path), "a swarm file", "a recorded flight", do)
     if path.suffix == RECORDING_SUFFIX:
         return read_recorded_flight(path, drone)
     return read_flight(path)

@@ -19,6 +19,7 @@ from crazychoir.errors import ConfigError, ProcessFailed, Refused
 from crazychoir.files.private_folder import scratch_folder
 from crazychoir.launch.processes import END_GRACE
 from crazychoir.launch.run_registry import list_runs_of_file
+from crazychoir.platforms import PAPER_PLATFORM
 from crazychoir.radio.virtual.control import ask_server
 
 CHILD_MODULE = "crazychoir.api.running.child_command"
@@ -35,6 +36,8 @@ DRONES_PER_DONGLE = 3
 """Number of virtual Crazyflies behind one modelled dongle."""
 VIRTUAL_SENDER = "xyz"
 """Sender of virtual Crazyflies: places, few enough for a dongle with three drones."""
+VIRTUAL_PLATFORM = "cf21"
+"""Platform of virtual Crazyflies, where the swarm has the model of the paper, which has no firmware."""
 VIRTUAL_HOST = "127.0.0.1"
 """Host of virtual Crazyflies."""
 
@@ -191,7 +194,9 @@ def with_virtual_bodies(config: SwarmConfig) -> SwarmConfig:
         {
             **msgspec.to_builtins(drone),
             "uri": f"udp://{VIRTUAL_HOST}:{port}",
-            "platform": "cf21",
+            "platform": VIRTUAL_PLATFORM
+            if drone.platform == PAPER_PLATFORM.name
+            else drone.platform,
             "dongle": k // DRONES_PER_DONGLE,
         }
         for k, (drone, port) in enumerate(zip(config.drones, ports, strict=True))

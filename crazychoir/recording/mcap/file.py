@@ -279,8 +279,14 @@ class RecordingFile:
         return not self.error
 
 
-def check_path(path: Path) -> None:
-    """Raise ConfigError for a file name that no reader would accept, before anything is done."""
+def require_new_recording(path: Path) -> None:
+    """Raise ConfigError for a name that no reader would accept, or a file that is there already."""
+    _require_suffix(path)
+    if path.exists():
+        raise _describe_existing(path)
+
+
+def _require_suffix(path: Path) -> None:
     if path.suffix != RECORDING_FORMAT.suffix:
         raise ConfigError(
             "--record",
@@ -289,8 +295,14 @@ def check_path(path: Path) -> None:
         )
 
 
+def _describe_existing(path: Path) -> ConfigError:
+    do = "A recording is never written over."
+    problem = "there is one already"
+    return ConfigError("--record", str(path), "name a new file", do, problem)
+
+
 def _create(path: Path) -> int:
-    check_path(path)
+    _require_suffix(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
@@ -302,10 +314,7 @@ def _create(path: Path) -> int:
                 "a file in a folder",
                 problem="its folder is a file",
             ) from error
-        do = "A recording is never written over: name another, or remove that one."
-        raise ConfigError(
-            "--record", str(path), "a new file", do, problem="there is one already"
-        ) from error
+        raise _describe_existing(path) from error
     except OSError as error:
         do = "Name a file in a folder of yours."
         raise ConfigError(

@@ -1,6 +1,7 @@
 """The bodies and the files of a run that a program starts."""
 
 import pytest
+from msgspec.structs import replace
 
 from crazychoir.agents import operator as mission
 from crazychoir.api.connecting import launch
@@ -27,6 +28,23 @@ def test_virtual_bodies_are_seen_by_the_cameras_of_this_machine():
     assert mocap.rate == 50.0
 
 
+def test_virtual_bodies_keep_the_platforms_of_real_drones():
+    (paper, real) = mission.swarm(2).drones
+    real = replace(real, platform="cf21bl")
+    flown = with_virtual_bodies(mission.swarm(2).replace(drones=[paper, real]))
+    assert [drone.platform for drone in flown.drones] == ["cf21", "cf21bl"]
+
+
 def test_unknown_bodies_are_refused_before_anything_starts():
     with pytest.raises(ConfigError, match='allowed: "sim" or "virtual"'):
         launch("operator", drones=2, bodies="real")
+
+
+def test_a_recording_that_is_there_is_refused_before_anything_starts(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr("crazychoir.api.connecting.SwarmRun", None)
+    path = tmp_path / "a.mcap"
+    path.touch()
+    with pytest.raises(ConfigError, match=r"a\.mcap: there is one already"):
+        launch("operator", drones=2, record=path)

@@ -58,6 +58,7 @@ def test_a_fit_of_one_flight_is_refused_before_it_begins(validate):
     ("arguments", "reason"),
     [
         (["none.npz"], "none.npz"),
+        (["lab.toml"], "crazychoir doctor --swarm lab.toml checks a swarm file"),
         ([FLIGHTS[0], "--platform", "cf99"], "--platform"),
         ([FLIGHTS[0], "--picture", "a.txt"], "--picture"),
     ],

@@ -105,7 +105,7 @@ def test_a_file_is_never_written_over(tmp_path):
     path = tmp_path / "a.mcap"
     path.write_text("old")
     with pytest.raises(
-        ConfigError, match=r"a\.mcap: there is one already; a new file.*remove"
+        ConfigError, match=r"a\.mcap: there is one already; name a new file.*never"
     ):
         opened(path)
     assert path.read_text() == "old"
