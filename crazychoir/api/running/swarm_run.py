@@ -178,10 +178,17 @@ class SwarmRun:
         self._wait_for_end()
 
     def _end_bodies(self) -> None:
-        if self._bodies is not None:
-            self._bodies.send_signal(signal.SIGINT)
-            self._bodies.communicate(timeout=END_GRACE)
-            self._bodies = None
+        """End the virtual Crazyflies, also on a machine too busy for them to end by themselves."""
+        bodies = self._bodies
+        if bodies is None:
+            return
+        self._bodies = None
+        bodies.send_signal(signal.SIGINT)
+        try:
+            bodies.communicate(timeout=END_GRACE)
+        except subprocess.TimeoutExpired:
+            bodies.kill()
+            bodies.communicate()
 
 
 def with_virtual_bodies(config: SwarmConfig) -> SwarmConfig:

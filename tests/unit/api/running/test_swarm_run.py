@@ -1,11 +1,14 @@
 """The bodies and the files of a run that a program starts."""
 
+import signal
+import subprocess
+
 import pytest
 from msgspec.structs import replace
 
 from crazychoir.agents import operator as mission
 from crazychoir.api.connecting import launch
-from crazychoir.api.running.swarm_run import with_virtual_bodies
+from crazychoir.api.running.swarm_run import SwarmRun, with_virtual_bodies
 from crazychoir.errors import ConfigError
 from crazychoir.guidance.mission import check_before_flight, load_mission
 
@@ -33,6 +36,31 @@ def test_virtual_bodies_keep_the_platforms_of_real_drones():
     real = replace(real, platform="cf21bl")
     flown = with_virtual_bodies(mission.swarm(2).replace(drones=[paper, real]))
     assert [drone.platform for drone in flown.drones] == ["cf21", "cf21bl"]
+
+
+class StuckProcess:
+    """A process that ends only when it is killed."""
+
+    def __init__(self):
+        self.got = []
+
+    def send_signal(self, number):
+        self.got.append(number)
+
+    def kill(self):
+        self.got.append(signal.SIGKILL)
+
+    def communicate(self, timeout=None):
+        if signal.SIGKILL not in self.got:
+            raise subprocess.TimeoutExpired("virtual", timeout)
+
+
+def test_virtual_bodies_that_do_not_end_are_killed():
+    run = object.__new__(SwarmRun)
+    run._bodies = stuck = StuckProcess()
+    run._end_bodies()
+    assert stuck.got == [signal.SIGINT, signal.SIGKILL]
+    assert run._bodies is None
 
 
 def test_unknown_bodies_are_refused_before_anything_starts():
