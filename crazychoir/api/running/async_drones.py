@@ -43,15 +43,29 @@ class DroneOrders:
         self._states: dict[int, Latest[State]] = {}
         self.statuses: dict[int, Status] = {}
         """The last status of each drone that has been heard."""
+        self._ends: dict[
+            int, str
+        ] = {}  # why each drone whose result was heard has ended
         self._open: set[asyncio.Task[Any]] = set()
         topic = DRONE_TOPICS.state
         for i in window.config.ids:
             states = self._states[i] = Latest(window.clock, "state", topic.max_age)
             window.read(topic, i, states.put, STATE_RATE)
             window.read(DRONE_TOPICS.status, i, partial(self._keep_status, i))
+            window.read(DRONE_TOPICS.result, i, partial(self._keep_end, i))
 
     def _keep_status(self, i: int, status: Status, age: float) -> None:
         self.statuses[i] = status
+
+    def _keep_end(self, i: int, result: Mapping[str, Any], age: float) -> None:
+        why = str(result.get("reason") or "").removeprefix(f"drone {i}: ")
+        self._ends[i] = why or "it has landed"
+
+    def _explain_absence(self, i: int) -> str:
+        """Return why no agent of drone i is there, as far as its result has been heard."""
+        if i not in self._ends:
+            return ABSENT_TEXT
+        return f"its flight is over: {self._ends[i]}"
 
     def _receipt(self, i: int, verb: str, answer: str, reason: str) -> OrderReceipt:
         """Return what a drone has answered, with the last trouble that it has reported."""
@@ -88,7 +102,7 @@ class DroneOrders:
     ) -> OrderReceipt | None:
         """Send a command to one drone; return its receipt, None if it obeys."""
         if not self.window.is_there(i):
-            return self._receipt(i, verb, "absent", ABSENT_TEXT)
+            return self._receipt(i, verb, "absent", self._explain_absence(i))
         accepted = asyncio.Event()
         task = asyncio.ensure_future(
             self.window.order_one(i, verb, seconds, arguments, accepted.set)

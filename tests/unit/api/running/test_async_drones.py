@@ -12,17 +12,15 @@ from crazychoir.types import State, Status
 
 
 class HearingWindow:
-    """A window on drone 0, without an agent; `hear` gives it a state with an age, `report` a status."""
+    """A window on drone 0, without an agent; `hear` gives it a state with an age, `report` a status, `end` a result."""
 
     def __init__(self, clock):
         self.clock = clock
         self.config = SimpleNamespace(ids=(0,))
 
     def read(self, topic, i, function, rate=None):
-        if topic is DRONE_TOPICS.state:
-            self.hear = function
-        else:
-            self.report = function
+        names = {"state": "hear", "status": "report", "result": "end"}
+        setattr(self, names[topic.name], function)
 
     def require_operator(self):
         pass
@@ -54,3 +52,13 @@ async def test_a_command_that_fails_says_what_the_drone_has_reported(clock):
     window.report(Status("ended", note="the cameras do not see it"), 0.0)
     with pytest.raises(OrderFailed, match="reported: the cameras do not see it"):
         await orders.give("take-off", {0: {}}, 5.0, True)
+
+
+@virtual
+async def test_a_command_after_the_end_of_a_flight_says_why_it_ended(clock):
+    window = HearingWindow(clock)
+    orders = DroneOrders(window)
+    window.end({"success": False, "reason": "drone 0: seen on the floor"}, 0.0)
+    match = "drone 0: go-to absent: its flight is over: seen on the floor"
+    with pytest.raises(OrderFailed, match=match):
+        await orders.give("go-to", {0: {}}, 5.0, True)
