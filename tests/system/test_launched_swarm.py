@@ -65,3 +65,15 @@ def test_script_of_the_page_flies_simulated_and_virtual_drones(
     assert found["swarm"].result["success"], capsys.readouterr().out
     assert isinstance(found["table"].max(), pd.DataFrame)
     assert found["table"].max()["x_m"][0] == pytest.approx(0.8, abs=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_six_virtual_drones_fly_a_figure_eight_from_their_memories(repository):
+    eight = repository / "agents" / "data" / "figure8.csv"
+    with launch("operator", drones=6, processes=3, bodies="virtual") as swarm:
+        swarm.take_off(height=0.6, duration=2.0)
+        swarm.follow(eight, timescale=2.0, on_board=True)
+        swarm.land(duration=2.5)
+    assert swarm.result["success"], swarm.result
+    assert swarm.result["min_separation_m"] > 0.25
