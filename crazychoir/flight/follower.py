@@ -160,12 +160,12 @@ class FlightFollower:
         self._row.drone["is_beyond"] = 0
         return self.flights.fly(trajectory, now)
 
-    def fly_leg(self, goal: Vec, now: float) -> None:
-        """Plan a leg to the goal, (3,) m: of a way home, or the rest of a take-off."""
+    def fly_leg(self, goal: Vec, now: float, least: float = 0.0) -> None:
+        """Plan a leg to the goal, (3,) m, in at least `least` s: of a way home, or the rest of a take-off."""
         start = self._get_departure(now)
         self._row.flown = start
         inside = self._guard.room.nearest(goal, inset=0.0)
-        self.flights.go_to(start, inside, start.yaw, 0.0, now)
+        self.flights.go_to(start, inside, start.yaw, least, now)
 
     def _begin_plan(self, start: FullState) -> None:
         """Leave the reference of guidance for a plan that begins at `start`."""

@@ -17,6 +17,7 @@ from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.errors import ConfigError
 from crazychoir.flight.clearance import CLEARANCE_TIMES
 from crazychoir.flight.flight_limits import TOUCHDOWN_LIMITS
+from crazychoir.flight.judge import RISE_DELAY
 from crazychoir.flight.pilot import GIVE_UP_HOVER
 from crazychoir.flight.stages import _evade
 from crazychoir.flight.tick import FlightTick
@@ -249,6 +250,35 @@ async def test_a_take_off_that_a_short_gap_in_the_poses_brakes_goes_on(clock):
     assert drone.pilot.mode is Mode.HOVER
     height = FlightTable().takeoff_height
     assert drone.p[2] == pytest.approx(height, abs=0.02)
+
+
+@virtual
+async def test_a_take_off_that_is_braked_again_and_again_ends_where_the_drone_is(clock):
+    drone = Flown(clock)
+    await drone.fly(0.05)
+    seconds = drone.pilot.take_off(duration=2.0)
+    for _ in range(round((seconds + RISE_DELAY) / 0.3)):
+        await drone.fly(0.15)
+        await drone.fly(0.15, poses=False)
+    assert drone.pilot.mode is Mode.TAKEOFF
+    for _ in range(3):
+        await drone.fly(0.15)
+        await drone.fly(0.15, poses=False)
+    assert drone.pilot.mode is Mode.HOVER
+
+
+@virtual
+async def test_a_take_off_from_outside_the_fence_rises_where_it_was_braked_inside(
+    clock,
+):
+    edge = -0.03
+    drone = Flown(clock, fence=((-3.0, -3.0, -0.2), (edge, 3.0, 2.5)))
+    await drone.fly(0.05)
+    drone.pilot.take_off(duration=2.0)
+    await drone.fly(7.0)
+    assert drone.pilot.mode is Mode.HOVER
+    assert drone.pilot.judge.braked == 1
+    assert drone.p[0] < edge
 
 
 @virtual
