@@ -94,11 +94,12 @@ class Greeter:
                 and age < HELLO_TIMING.settling_time
             )
             if (
-                due
-                or self._table.has_news()
+                self._table.has_news()
                 or tick % (HELLO_TIMING.settling_time * HELLO_TIMING.asking_rate) == 0
             ):
                 self.greet_all()
+            elif due:
+                self._repeat_hello()
             for peer in self._table.by_name.values():
                 if not peer.refusal and not self._table.mutual(peer):
                     self._greet([peer.process])
@@ -114,6 +115,14 @@ class Greeter:
         if self._table.by_name:
             self._greet(self._table.by_name)
 
+    def _repeat_hello(self) -> None:
+        """Send HELLO again to each peer that may have lost it: a socket loses nothing."""
+        payload, _ = self._table.hello()
+        peers = self._table.by_name.values()
+        doubtful = [peer.process for peer in peers if peer.told != payload]
+        if doubtful:
+            self._greet(doubtful)
+
     def _greet(self, processes: Iterable[str]) -> None:
         """Send one HELLO to each of these processes at the end of this pass of the event loop."""
         if not self._to_greet:
@@ -128,6 +137,8 @@ class Greeter:
             peer = self._table.by_name.get(process)
             if peer is not None:
                 self._outbox.add(peer, MESSAGE_TOPICS.hello.klass, hello)
+                if process in self._sockets.connections:
+                    peer.told = hello.payload
 
     def _make_hello(self) -> Envelope:
         payload, age = self._table.hello()

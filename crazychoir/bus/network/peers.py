@@ -72,6 +72,8 @@ class Peer:
     """ns, our clock: start of the process."""
     said: bytes | None = None
     """Its last HELLO as received."""
+    told: bytes = b""
+    """Our last HELLO that went to it through a socket."""
     refusal: str = ""
     """Reason why its HELLO was refused; empty if it was not."""
     forbidden: bool = False

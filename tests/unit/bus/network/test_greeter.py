@@ -70,6 +70,7 @@ class NotedSockets:
     def __init__(self):
         self.reached = []
         self.forgotten = []
+        self.connections = {}
 
     def reach(self, process, address):
         self.reached.append((process, address))
@@ -247,6 +248,26 @@ def test_a_closed_session_declares_no_token_and_greets_no_stranger():
         meeting.meet_stranger("1-2", make_hello("1-2", heard=[]).payload())
         assert meeting.answered() == []
     assert meeting.session.tokens == 0
+
+
+def test_a_hello_that_has_not_changed_is_seldom_repeated_through_a_socket():
+    meeting = Meeting()
+    meet(meeting.table, make_hello("0-2", host="a", drones=[2]))
+    meeting.sockets.connections["0-2"] = "socket"
+
+    async def greet_each_second(clock):
+        meeting.bus.clock = clock
+        running = asyncio.create_task(meeting.greeter.run())
+        greeted = []
+        for second in range(6):
+            await clock.sleep(1.0 if second else 1.1)
+            greeted.append("0-2" in dict(meeting.outbox.flush()))
+            if second == 2:
+                meeting.bus.port(7)
+        running.cancel()
+        return greeted
+
+    assert run_virtual(greet_each_second) == [True, False, False, True, True, False]
 
 
 def test_faults_of_the_link_are_shown_within_a_second():
