@@ -6,7 +6,7 @@ The module has no clock and no session. Every limit is checked before memory is 
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Annotated
 
 import msgspec
 from msgspec import Meta
@@ -36,14 +36,6 @@ class FrameFormat:
 
 
 FRAME_FORMAT = FrameFormat()
-DESTINATION_SIZE: Final = 9
-"""Bytes of a destination of an envelope, at most."""
-LETTER_SIZE: Final = 4
-"""Bytes of a character in the name of a channel, at most."""
-HEADER_SIZE: Final = 61
-"""Bytes of the rest of an envelope without its payload, at most."""
-
-
 _Small = Annotated[int, Meta(ge=0, lt=1 << 16)]
 _Address = Annotated[int, Meta(ge=0, lt=1 << 32)]
 _Count = Annotated[int, Meta(ge=0)]
@@ -131,6 +123,7 @@ def decode_frame(
 class FrameBuffer:
     """The envelopes for one peer and one class, collected during one pass of the event loop.
 
+    An envelope is encoded when it is added, so a frame is its head and these bytes.
     conflate: True to keep only the newest of envelopes with equal (topic, source, to, channel), at
         the place of the oldest
     limit: most bytes of a frame
@@ -144,17 +137,15 @@ class FrameBuffer:
         conflate: bool = False,
         limit: int = FRAME_FORMAT.max_bytes,
     ) -> None:
-        self.process = process
-        self.incarnation = incarnation
-        self.kind = kind
         self.conflate = conflate
-        self.limit = limit
         self.conflated = 0
-        self._room = limit - 4 * len(process) - 32
+        empty = encode_frame(Frame(process, incarnation, kind, []))
+        self._head = empty[:-1] + _LIST_HEAD
+        """Start of each frame, before the number of its envelopes."""
+        self._room = limit - len(self._head) - _COUNT_SIZE
+        """Most bytes of the envelopes of a frame."""
         self._total = 0
-        self._channel = ""
-        """Name of the last channel, which is acceptable."""
-        self._envelopes: list[Envelope] = []
+        self._envelopes: list[bytes] = []
         self._places: dict[tuple[int, int, tuple[int, ...], str], int] = {}
 
     def __len__(self) -> int:
@@ -166,85 +157,76 @@ class FrameBuffer:
         """
         channel = envelope.channel
         to = envelope.to
-        size = (
-            len(envelope.payload)
-            + DESTINATION_SIZE * len(to)
-            + LETTER_SIZE * len(channel)
-            + HEADER_SIZE
-        )
-        if channel != self._channel:
-            if not _is_acceptable_name(channel):
-                raise self._refusal(envelope, size)
-            self._channel = channel
+        try:
+            data = _encode(envelope)
+        except Exception as error:
+            raise CodecError(
+                f"{_describe(envelope)}: cannot be encoded: {error_text(error)}"
+            ) from error
         if (
-            size > self._room
+            len(data) > self._room
             or len(to) > FRAME_FORMAT.max_destinations
+            or len(channel) > FRAME_FORMAT.max_name_length
             or not 0.0 <= envelope.age <= FRAME_FORMAT.max_age
         ):
-            raise self._refusal(envelope, size)
-        self._total += size
+            raise self._refusal(envelope, len(data))
+        self._total += len(data)
         if self.conflate:
             key = (envelope.topic, envelope.source, to, channel)
             place = self._places.setdefault(key, len(self._envelopes))
             if place < len(self._envelopes):
-                self._envelopes[place] = envelope
+                self._total -= len(self._envelopes[place])
+                self._envelopes[place] = data
                 self.conflated += 1
                 return
-        self._envelopes.append(envelope)
+        self._envelopes.append(data)
 
     def take(self) -> list[bytes]:
         """Return frames with all added envelopes in their order, and empty the buffer."""
         envelopes = self._envelopes
-        total = self._total
+        if self._total <= self._room and len(envelopes) <= FRAME_FORMAT.max_envelopes:
+            parts = [envelopes] if envelopes else []
+        else:
+            parts = self._split(envelopes)
         self._envelopes = []
         self._total = 0
         self._places.clear()
-        if total <= self._room and 0 < len(envelopes) <= FRAME_FORMAT.max_envelopes:
-            parts = [envelopes]
-        else:
-            parts = self._parts(envelopes)
         frames = []
         for part in parts:
-            frame = Frame(self.process, self.incarnation, self.kind, part)
-            frames.append(encode_frame(frame, self.limit))
+            count = len(part).to_bytes(_COUNT_SIZE, "big")
+            frames.append(b"".join((self._head, count, *part)))
         return frames
 
     def _refusal(self, envelope: Envelope, size: int) -> CodecError:
         return CodecError(
-            f"topic {envelope.topic} of {envelope.source}: found {size} bytes, age {envelope.age} s, a channel's name "
+            f"{_describe(envelope)}: found {size} bytes, age {envelope.age} s, a channel's name "
             f"of {len(envelope.channel)}, {len(envelope.to)} destinations; allowed: {self._room} bytes, 0 to "
             f"{FRAME_FORMAT.max_age:g} s, {FRAME_FORMAT.max_name_length} characters, "
             f"{FRAME_FORMAT.max_destinations} destinations."
         )
 
-    def _parts(self, envelopes: list[Envelope]) -> list[list[Envelope]]:
+    def _split(self, envelopes: list[bytes]) -> list[list[bytes]]:
         """Return the envelopes divided into parts that fit into a frame."""
-        parts: list[list[Envelope]] = []
+        parts: list[list[bytes]] = []
         room = -1
-        for envelope in envelopes:
-            size = (
-                len(envelope.payload)
-                + DESTINATION_SIZE * len(envelope.to)
-                + LETTER_SIZE * len(envelope.channel)
-                + HEADER_SIZE
-            )
-            if size > room or len(parts[-1]) == FRAME_FORMAT.max_envelopes:
+        for data in envelopes:
+            if len(data) > room or len(parts[-1]) == FRAME_FORMAT.max_envelopes:
                 parts.append([])
                 room = self._room
-            parts[-1].append(envelope)
-            room -= size
+            parts[-1].append(data)
+            room -= len(data)
         return parts
 
 
-def _is_acceptable_name(channel: str) -> bool:
-    """Return True if the receiver accepts the name of a channel."""
-    if len(channel) > FRAME_FORMAT.max_name_length:
-        return False
-    return channel.isascii() or not any(
-        "\ud800" <= letter <= "\udfff" for letter in channel
-    )
+def _describe(envelope: Envelope) -> str:
+    """Return which message an envelope holds."""
+    return f"topic {envelope.topic} of {envelope.source}"
 
 
 _FRAME_HEAD = bytes([FRAME_FORMAT.version])
+_LIST_HEAD = b"\xdc"
+"""Head of a msgpack list whose length follows in `_COUNT_SIZE` bytes."""
+_COUNT_SIZE = 2
+"""Bytes of the number of envelopes in a frame."""
 _encode = msgspec.msgpack.Encoder().encode
 _decode = msgspec.msgpack.Decoder(Frame).decode

@@ -456,56 +456,34 @@ class Port:
         """
         bus = self.bus
         topic = message.topic
-        if bus.forwarder is not None:
-            to = self._send_away(bus.forwarder, message, to, attempt, age)
-            if not to:
-                return
+        counters = self.counters
         drones = 0
         for j in to:
             drones += j < FIRST_OBSERVER
-        counters = self.counters
+        counters.bytes += drones * len(message.payload)
         if topic.impaired:
             counters.sent += drones
             if bus.impairment.active:
                 to = self._list_unharmed(message, to, attempt, age)
-        counters.bytes += drones * len(message.payload)
-        bus.deliver(message, to, age)
-
-    def _send_away(
-        self,
-        forwarder: Forwarder,
-        message: Message,
-        to: Sequence[int],
-        attempt: int,
-        age: float,
-    ) -> Sequence[int]:
-        """Send to other processes what does not pass the simulated network.
-
-        Returns the addresses that are left to be served now.
-        """
-        bus = self.bus
-        ports = bus.ports
-        topic = message.topic
-        is_impaired = topic.impaired and bus.impairment.active
-        far: list[int] = []
-        here: list[int] = []
-        drones = 0
-        for j in to:
-            if j in ports or (is_impaired and j < FIRST_OBSERVER):
-                here.append(j)
-            else:
-                far.append(j)
-                drones += j < FIRST_OBSERVER
-        if not far:
-            return to
-        forwarder.forward(message, far, age)
-        self.counters.sent += drones if topic.impaired else 0
-        self.counters.bytes += drones * len(message.payload)
-        if here and topic.klass is MessageClass.ROUNDS:
-            # Other processes wait for this round, and we wait for theirs: they go first.
-            forwarder.then(partial(self.send, message, here, attempt, age))
-            return ()
-        return here
+        forwarder = bus.forwarder
+        if forwarder is not None:
+            ports = bus.ports
+            here: list[int] = []
+            far: list[int] = []
+            for j in to:
+                if j in ports:
+                    here.append(j)
+                else:
+                    far.append(j)
+            if far:
+                to = here
+                forwarder.forward(message, far, age)
+                if here and topic.klass is MessageClass.ROUNDS:
+                    # Other processes wait for this round, and we wait for theirs: they go first.
+                    forwarder.then(partial(bus.deliver, message, here, age))
+                    return
+        if to:
+            bus.deliver(message, to, age)
 
     def _list_unharmed(
         self, message: Message, to: Sequence[int], attempt: int, age: float

@@ -259,11 +259,10 @@ class Channel:
             return True
         return self.closed_at < self.sending and bool(self.sending or self.receiving)
 
-    def take(self, message: Message, born_ns: int) -> bool:
-        """Take a neighbour's message of a round.
+    def take(self, message: Message, born_ns: int) -> None:
+        """Take a neighbour's message of a round; wake the caller if it completes the awaited round.
 
         born_ns: ns, time of its creation on our clock
-        Returns True if it completes the awaited round.
         """
         source = message.source
         number = message.number
@@ -289,14 +288,15 @@ class Channel:
                     del missing[source]
                     if not missing:
                         wait.ended_by = flags
-                        return True
-                return False
+                        waiter = wait.waiter
+                        if waiter is not None and not waiter.done():
+                            waiter.set_result(None)
+                return
         elif number >= k:
             self.counters.ahead += 1
-            return False
+            return
         if wait.repeated and not is_sent_again(flags):
             wait.take_original(source, number)
-        return False
 
     def stored(self, k: int, j: int) -> bytes | None:
         """Return our message of round k for j, or None if it is not kept or j does not read it.

@@ -74,6 +74,7 @@ class Communicator:
         self.id = port.address
         self.exchange = Exchange(port, graph, membership)
         self._clock = port.bus.clock
+        self._now_ns = self._clock.now_ns
         self._channels = self.exchange.table.channels
         self._epochs = self.exchange.table.epochs
         self._sender = self.exchange.sender
@@ -324,7 +325,7 @@ class Communicator:
                 if policy == "raise":
                     raise
             finally:
-                self._waits.end(ch)
+                ch.wait.end(self._now_ns())
         else:
             ch.wait.own_lateness = 0.0
             if not wanted:

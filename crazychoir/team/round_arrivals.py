@@ -83,8 +83,7 @@ class RoundArrivals:
         born_ns = self._heard_ns[source]
         if age:
             born_ns -= int(age * NS_PER_SECOND)
-        if ch.take(message, born_ns):
-            wake_if(ch.wait.waiter)
+        ch.take(message, born_ns)
 
     def _take_unusual(self, message: Message, age: float) -> Channel | None:
         """Take a message that is unusual by its kind, epoch, sender or channel.

@@ -75,7 +75,8 @@ class RoundWaits:
         self._clock = port.bus.clock
         self._now_ns = self._clock.now_ns
         self._made_ns = self._now_ns()
-        self._waiting: list[Channel] = []
+        self._waiting: dict[Channel, None] = {}
+        """Channels that wait, or have waited since the last check."""
         self._alarm: Alarm | asyncio.TimerHandle | None = None
         self._due_ns = 0
 
@@ -98,7 +99,7 @@ class RoundWaits:
     def begin(
         self, ch: Channel, missing: dict[int, None], seconds: float
     ) -> "asyncio.Future[None]":
-        """Return a future for the messages of these neighbours; `end` ends the wait.
+        """Return a future for the messages of these neighbours; `RoundWait.end` ends the wait.
 
         Raises ConfigError if another caller already waits on the channel.
         """
@@ -113,7 +114,7 @@ class RoundWaits:
             )
         waiter = self._clock.future()
         wait.waiter = waiter
-        self._waiting.append(ch)
+        self._waiting[ch] = None
         if self._table.epochs.gaps or ch.peers.kept:
             missing = self._leave_out_silent(ch, missing)
             if not missing:
@@ -143,11 +144,6 @@ class RoundWaits:
         kept = ch.peers.kept
         return {j: None for j in missing if not is_silent(j, k) and k >= kept.get(j, 0)}
 
-    def end(self, ch: Channel) -> None:
-        """Learn from the end of a wait."""
-        self._waiting.remove(ch)
-        ch.wait.end(self._now_ns())
-
     def _check_at(self, due_ns: int) -> None:
         """Check the waiting channels at this time, in ns, unless they are checked earlier."""
         if self._alarm is not None:
@@ -163,8 +159,11 @@ class RoundWaits:
         """
         self._alarm = None
         now_ns = self._now_ns()
-        for ch in self._waiting:
+        for ch in list(self._waiting):
             wait = ch.wait
+            if wait.waiter is None:
+                del self._waiting[ch]
+                continue
             first_ns = min(wait.since_ns + EARLIEST_RESEND, wait.deadline_ns)
             if now_ns >= first_ns and is_waiting(wait):
                 wait.plan_resend()

@@ -88,7 +88,11 @@ class ArrivalQueue:
             FRAME_READING.least_slice_ns, min(busy, FRAME_READING.longest_slice_ns)
         )
         for _ in range(min(len(waiting), FRAME_READING.slice_frames)):
-            self.take(*waiting.popleft())
+            handler, sender, data, arrived_ns = waiting.popleft()
+            try:
+                handler(sender, data, arrived_ns)
+            except Exception as error:  # noqa: BLE001 - the next frame is read all the same
+                self.note_failure(sender, error)
             if self._now_ns() > ends_ns:
                 break
         self._behind_ns = self._now_ns() if waiting else 0
@@ -96,19 +100,9 @@ class ArrivalQueue:
             self._is_woken = True
             self._loop.call_soon(self._drain)
 
-    def take(
-        self, handler: ArrivalHandler, sender: str, data: bytes, arrived_ns: int
-    ) -> None:
-        """Let a handler take a frame or a token; its error does not stop the next one.
-
-        arrived_ns: ns, time of arrival
-        """
-        try:
-            handler(sender, data, arrived_ns)
-        except Exception as error:
-            self._counters.failed += 1
-            if self._counters.failed.bit_count() == 1:
-                # Log the first, the second, the fourth, ...
-                log.error(
-                    "a frame of %s was not taken: %s", sender, error, exc_info=error
-                )
+    def note_failure(self, sender: str, error: Exception) -> None:
+        """Count a frame or a token with a handler that raised an error, and log it now and then."""
+        self._counters.failed += 1
+        if self._counters.failed.bit_count() == 1:
+            # Log the first, the second, the fourth, ...
+            log.error("a frame of %s was not taken: %s", sender, error, exc_info=error)

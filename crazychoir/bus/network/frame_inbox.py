@@ -44,8 +44,6 @@ class FrameInbox:
         self._arrivals = ArrivalQueue(counters, bus.clock.now_ns)
         self._budgets = FrameBudgets()
         self._token_budgets = FrameBudgets()
-        self.receive_local = partial(self._arrivals.take, self._local_frame)
-        """Takes (process, frame, time of sending in ns) from a socket, in the event loop."""
 
     # In Zenoh's threads ---------------------------------------------------------------
 
@@ -111,8 +109,8 @@ class FrameInbox:
             counters.overtaken += len(frame.envelopes) - len(messages)
         self._distribute(peer, messages, arrived_ns)
 
-    def _local_frame(self, process: str, data: bytes, sent_ns: int) -> None:
-        """Take a frame that came through a socket.
+    def receive_local(self, process: str, data: bytes, sent_ns: int) -> None:
+        """Take a frame that came through a socket; its error does not stop the next one.
 
         sent_ns: ns, time of sending by the clock of this machine
         """
@@ -138,7 +136,10 @@ class FrameInbox:
         self._counters.frames_received += 1
         if frame.kind == MessageClass.CONTROL:
             peer.control.note(frame.envelopes)
-        self._distribute(peer, frame.envelopes, min(sent_ns, now_ns))
+        try:
+            self._distribute(peer, frame.envelopes, min(sent_ns, now_ns))
+        except Exception as error:  # noqa: BLE001 - the next frame is read all the same
+            self._arrivals.note_failure(process, error)
 
     def _sender(self, key: str, frame: Frame) -> Peer | None:
         """Return the peer that sent a frame.

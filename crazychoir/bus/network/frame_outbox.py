@@ -130,17 +130,14 @@ class FrameOutbox:
         self._filled = []
         for queue in filled:
             queue.is_filled = False
-            try:
-                frames = queue.buffer.take()
-            except CodecError as error:
-                counters.unsendable += 1
-                log.warning("not sent: %s", error)
-                continue
-            for frame in frames:
-                if queue.process in connections:
-                    is_sent = sockets.send(queue.process, queue.klass, frame)
-                else:
+            for frame in queue.buffer.take():
+                connection = connections.get(queue.process)
+                if connection is None:
                     is_sent = session.send(queue.publisher.put, frame)
+                else:
+                    is_sent = connection.send_at_once(frame) or sockets.send(
+                        queue.process, queue.klass, frame
+                    )
                 if is_sent:
                     counters.frames_sent += 1
                     counters.bytes_sent += len(frame)

@@ -11,6 +11,7 @@ the most urgent class goes first, as in Zenoh; the frames of one class stay in o
 import socket
 import struct
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -112,6 +113,7 @@ class LocalConnection:
     """The socket of one pair of processes.
 
     made: connected socket
+    now_ns: returns the time in ns, by the clock of the machine
 
     Attributes:
     process: name of the other process; empty until it is known
@@ -121,12 +123,13 @@ class LocalConnection:
         frame waits. Only to be read from outside
     """
 
-    def __init__(self, made: socket.socket) -> None:
+    def __init__(self, made: socket.socket, now_ns: Callable[[], int]) -> None:
         made.setblocking(False)
         for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
             made.setsockopt(socket.SOL_SOCKET, option, CONNECTION_SIZES.buffer_size)
         granted = made.getsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF)
         self.socket = made
+        self._now_ns = now_ns
         self.process = ""
         self.path = ""
         # The system counts its own records too: a packet may have at most about half of the buffer.
@@ -141,22 +144,30 @@ class LocalConnection:
 
     # Sending --------------------------------------------------------------------------
 
-    def send(self, klass: MessageClass, frame: bytes, now_ns: int) -> int:
+    def send_at_once(self, frame: bytes) -> bool:
+        """Send a frame as one packet. Return False if it has to go another way.
+
+        Most frames go this way. A frame does not if it is large, if others wait, if the socket has no
+        room, or if the connection is broken: `send` finds out.
+        """
+        if self.leaving is not None or len(frame) > self._piece_size:
+            return False
+        packet = PACKET_HEAD.pack(LAST_PIECE_MARK, 0, self._now_ns()) + frame
+        try:
+            self.socket.send(packet, socket.MSG_NOSIGNAL)
+        except OSError:
+            return False
+        return True
+
+    def send(self, klass: MessageClass, frame: bytes) -> int:
         """Send a frame, or let it wait; return how many frames were dropped.
 
-        now_ns: ns, time by the clock of the machine
         Raises OSError if the connection is broken.
         """
+        leaving = LeavingFrame(frame, self._now_ns())
         if self.leaving is not None:
-            return self._waiting[klass].add(LeavingFrame(frame, now_ns))
-        if len(frame) <= self._piece_size:
-            packet = PACKET_HEAD.pack(LAST_PIECE_MARK, 0, now_ns) + frame
-            try:
-                self.socket.send(packet, socket.MSG_NOSIGNAL)
-            except (BlockingIOError, InterruptedError):
-                self.leaving = LeavingFrame(frame, now_ns)
-            return 0
-        self.leaving = LeavingFrame(frame, now_ns)
+            return self._waiting[klass].add(leaving)
+        self.leaving = leaving
         self.send_waiting()
         return 0
 

@@ -199,7 +199,7 @@ class LocalSockets:
 
     def _adopt(self, made: socket.socket) -> LocalConnection:
         """Read a connected socket from now on."""
-        connection = LocalConnection(made)
+        connection = LocalConnection(made, self._now_ns)
         self._loop.add_reader(made.fileno(), self._read, connection)
         return connection
 
@@ -216,7 +216,7 @@ class LocalSockets:
     # Sending --------------------------------------------------------------------------
 
     def send(self, process: str, klass: MessageClass, frame: bytes) -> bool:
-        """Send a frame to a connected process, a large one in pieces.
+        """Send a frame that did not go at once to a connected process, a large one in pieces.
 
         What does not fit into the socket waits. If too much waits already, because the process does
         not read fast enough, the frame is dropped, or older ones of the class CONTROL.
@@ -225,7 +225,7 @@ class LocalSockets:
         connection = self.connections[process]
         was_full = connection.leaving is not None
         try:
-            dropped = connection.send(klass, frame, self._now_ns())
+            dropped = connection.send(klass, frame)
         except OSError:
             self._give_up(connection)
             return False

@@ -67,14 +67,17 @@ class NotedSockets:
     """Sockets to some processes of this host."""
 
     def __init__(self):
-        self.connections = ()
+        self.connections = {}
         self.is_full = False
         self.frames = []
 
-    def send(self, process, klass, frame):
+    def send_at_once(self, frame):
         if not self.is_full:
             self.frames.append(frame)
         return not self.is_full
+
+    def send(self, process, klass, frame):
+        return False
 
 
 class Sending:
@@ -137,11 +140,11 @@ async def test_only_the_newest_control_message_leaves(sending):
 
 
 async def test_frames_to_a_connected_process_go_through_its_socket(sending):
-    sending.sockets.connections = ("1-1",)
+    sending.sockets.connections["1-1"] = sending.sockets
     sending.add(1)
     sending.outbox.flush()
     assert (len(sending.sockets.frames), sending.numbers) == (1, [])
-    sending.sockets.connections = ()
+    sending.sockets.connections.clear()
     sending.add(2)
     sending.outbox.flush()
     assert (len(sending.sockets.frames), sending.numbers) == (1, [[2]])
@@ -152,7 +155,7 @@ async def test_frames_that_do_not_leave_are_not_counted_as_sent(sending):
     sending.session.refuses = True
     sending.add(1)
     sending.outbox.flush()
-    sending.sockets.connections = ("1-1",)
+    sending.sockets.connections["1-1"] = sending.sockets
     sending.sockets.is_full = True
     sending.add(2)
     sending.outbox.flush()

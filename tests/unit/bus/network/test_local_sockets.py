@@ -53,7 +53,10 @@ class End:
         self, process: str, frame: bytes, klass: MessageClass = MessageClass.ROUNDS
     ) -> bool:
         """Send a frame to another end."""
-        return self.sockets.send(process, klass, frame)
+        connection = self.sockets.connections[process]
+        return connection.send_at_once(frame) or self.sockets.send(
+            process, klass, frame
+        )
 
     def _receive(self, process: str, frame: bytes, sent_ns: int) -> None:
         self.frames.append((process, frame))
