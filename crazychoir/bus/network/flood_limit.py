@@ -39,16 +39,15 @@ class FrameBudget:
 
     def take(self, now_ns: int, size: int = 0) -> bool:
         """Return True if one more frame of `size` bytes is within the budget, and take it."""
-        self.left = min(
-            FLOOD_LIMITS.burst_size,
-            self.left + (now_ns - self.at_ns) * FLOOD_LIMITS.frame_rate / NS_PER_SECOND,
-        )
+        limits = FLOOD_LIMITS
+        left = self.left + (now_ns - self.at_ns) * limits.frame_rate / NS_PER_SECOND
+        if left > limits.burst_size:
+            left = limits.burst_size
+        cost = 1 + size // limits.frame_part
+        is_within = left >= cost
+        self.left = left - cost if is_within else left
         self.at_ns = now_ns
-        cost = 1 + size // FLOOD_LIMITS.frame_part
-        if self.left < cost:
-            return False
-        self.left -= cost
-        return True
+        return is_within
 
 
 class FrameBudgets:

@@ -107,7 +107,7 @@ class FrameInbox:
         if frame.kind == MessageClass.CONTROL:
             messages = peer.control.drop_overtaken(messages)
             counters.overtaken += len(frame.envelopes) - len(messages)
-        self._distribute(peer, messages, arrived_ns)
+        self._distribute(peer, messages, arrived_ns, self._now_ns())
 
     def receive_local(self, process: str, data: bytes, sent_ns: int) -> None:
         """Take a frame that came through a socket; its error does not stop the next one.
@@ -137,7 +137,7 @@ class FrameInbox:
         if frame.kind == MessageClass.CONTROL:
             peer.control.note(frame.envelopes)
         try:
-            self._distribute(peer, frame.envelopes, min(sent_ns, now_ns))
+            self._distribute(peer, frame.envelopes, min(sent_ns, now_ns), now_ns)
         except Exception as error:  # noqa: BLE001 - the next frame is read all the same
             self._arrivals.note_failure(process, error)
 
@@ -155,13 +155,17 @@ class FrameInbox:
         )
 
     def _distribute(
-        self, peer: Peer, messages: list[Envelope], arrived_ns: int
+        self, peer: Peer, messages: list[Envelope], arrived_ns: int, now_ns: int
     ) -> None:
-        """Deliver the messages of a peer that it may send to the ports of this process."""
+        """Deliver the messages of a peer that it may send to the ports of this process.
+
+        arrived_ns: ns, time of their arrival, or of their sending on this host
+        now_ns: ns, the present time
+        """
         directory = self._table.directory
         access = self._table.access
         ports = self._bus.ports
-        waited = (self._now_ns() - arrived_ns) / NS_PER_SECOND
+        waited = (now_ns - arrived_ns) / NS_PER_SECOND
         for envelope in messages:
             topic = TOPIC_BY_NUMBER.get(envelope.topic)
             age = envelope.age + waited
