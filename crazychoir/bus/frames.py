@@ -225,7 +225,7 @@ def _describe(envelope: Envelope) -> str:
 
 _FRAME_HEAD = bytes([FRAME_FORMAT.version])
 _LIST_HEAD = b"\xdc"
-"""Head of a msgpack list whose length follows in `_COUNT_SIZE` bytes."""
+"""Head of a msgpack list; its length follows in `_COUNT_SIZE` bytes."""
 _COUNT_SIZE = 2
 """Bytes of the number of envelopes in a frame."""
 _encode = msgspec.msgpack.Encoder().encode
