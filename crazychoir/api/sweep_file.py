@@ -7,15 +7,26 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, NoReturn, Self
 
+import msgspec
+
 from crazychoir.api.sweep_rows import Row
 from crazychoir.errors import ConfigError
 from crazychoir.files.output_files import output_file, require_writable_file
 
 log = logging.getLogger(__name__)
-ROW_KEY = "key"
-"""Name of the key of a run in its line."""
-MISSION_KEY = "mission"
-"""Name of the mission of a run in its line."""
+LINE_START = b'{"key": '
+"""Start of each line of the file."""
+
+
+class KeptRun(msgspec.Struct, frozen=True):
+    """A line of the file: a run that has ended."""
+
+    key: str
+    """Key of the run; equal keys mean equal rows."""
+    mission: str
+    """Name of its mission, or of its file."""
+    row: dict[str, Any]
+    """Its row of the table."""
 
 
 class SweepFile:
@@ -67,33 +78,31 @@ class SweepFile:
         """Read the rows of an earlier sweep, and remove a line that was not written to its end."""
         lines = self.path.read_bytes().splitlines(keepends=True)
         is_cut = bool(lines) and not lines[-1].endswith(b"\n")
-        rows = [_parse_line(line) for line in lines[: len(lines) - is_cut]]
-        self._require_rows(lines, rows)
+        runs = [_parse_line(line) for line in lines[: len(lines) - is_cut]]
+        self._require_runs(lines, runs)
         missions: dict[str, int] = {}
         stale = 0
-        for number, (line, row) in enumerate(zip(lines, rows, strict=False), 1):
-            if row is None:
+        for number, (line, run) in enumerate(zip(lines, runs, strict=False), 1):
+            if run is None:
                 do = "it is left out, and its run flies again if it is of this sweep"
                 log.warning("%s: line %d is damaged: %s", self.path, number, do)
-                continue
-            key = row.pop(ROW_KEY)
-            mission = str(row.pop(MISSION_KEY, "an unknown one"))
-            if mission != self._mission:
-                missions[mission] = missions.get(mission, 0) + 1
-            elif key in self._runs:
-                self.rows[key] = row
-            elif self._has_inputs_of_a_run(row):
+            elif run.key in self._runs:
+                self.rows[run.key] = run.row
+            elif run.mission != self._mission:
+                missions[run.mission] = missions.get(run.mission, 0) + 1
+            elif self._has_inputs_of_a_run(run.row):
                 stale += 1
             else:
                 self._other_lines.append(line.decode())
         self._require_own_runs(missions, stale)
         self._file.truncate(sum(len(line) for line in lines[: len(lines) - is_cut]))
 
-    def _require_rows(self, lines: Sequence[bytes], rows: Sequence[Row | None]) -> None:
-        """Raise ConfigError for a file that no sweep has written."""
-        start = f'{{"{ROW_KEY}": '.encode()
-        is_begun = len(lines) == 1 and start.startswith(lines[0][: len(start)])
-        if lines and not is_begun and all(row is None for row in rows):
+    def _require_runs(
+        self, lines: Sequence[bytes], runs: Sequence[KeptRun | None]
+    ) -> None:
+        """Raise ConfigError for a file that no sweep has written; its only line may have been cut."""
+        has_cut_line = not runs and all(_is_line_start(line) for line in lines)
+        if not has_cut_line and all(run is None for run in runs):
             self._refuse("another file", "")
 
     def _require_own_runs(self, missions: Mapping[str, int], stale: int) -> None:
@@ -136,13 +145,17 @@ class SweepFile:
             place.write_text("".join(lines), encoding="utf-8")
 
     def _format_line(self, key: str, row: Mapping[str, Any]) -> str:
-        return json.dumps({ROW_KEY: key, MISSION_KEY: self._mission, **row}) + "\n"
+        return json.dumps({"key": key, "mission": self._mission, "row": row}) + "\n"
 
 
-def _parse_line(line: bytes) -> Row | None:
-    """Return the row of a line with its key; None for a damaged line, or one of another program."""
+def _parse_line(line: bytes) -> KeptRun | None:
+    """Return the run of a line; None for a damaged line, or one of another program."""
     try:
-        row = json.loads(line)
-    except ValueError:
+        return msgspec.convert(json.loads(line), KeptRun)
+    except (ValueError, msgspec.ValidationError):
         return None
-    return row if isinstance(row, dict) and ROW_KEY in row else None
+
+
+def _is_line_start(line: bytes) -> bool:
+    """Return whether a line that was cut may be one of a sweep."""
+    return LINE_START.startswith(line[: len(LINE_START)])

@@ -71,7 +71,9 @@ def test_a_row_of_another_sweep_with_the_same_inputs_is_refused(tmp_path):
     assert path.read_bytes() == before
 
 
-@pytest.mark.parametrize("text", ["x,y\n1,2\n", '{"other": 1}\n', "[1]\n"])
+@pytest.mark.parametrize(
+    "text", ["x,y\n1,2\n", '{"other": 1}\n', "[1]\n", '{"key": [3]}\n']
+)
 def test_another_file_is_not_touched(tmp_path, text):
     path = tmp_path / "a.jsonl"
     path.write_text(text)
@@ -100,6 +102,23 @@ def test_rows_of_another_mission_are_refused_whatever_their_inputs_are(tmp_path)
     with pytest.raises(ConfigError, match=found):
         SweepFile(path, "grid", {"d": {"seed": "d"}}).__enter__()
     assert path.read_bytes() == before
+
+
+def test_a_figure_may_have_the_name_of_a_field_of_its_line(tmp_path):
+    path = tmp_path / "a.jsonl"
+    named = row("a") | {"mission": "mine", "key": 3}
+    with SweepFile(path, MISSION, {"a": RUNS["a"]}) as file:
+        file.add("a", named)
+        file.finish()
+    with SweepFile(path, MISSION, {"a": RUNS["a"]}) as file:
+        assert file.rows == {"a": named}
+
+
+def test_runs_of_the_same_mission_by_another_name_are_kept(tmp_path):
+    path = tmp_path / "a.jsonl"
+    whole(path)
+    with SweepFile(path, "agents/figure.py", RUNS) as file:
+        assert list(file.rows) == list(RUNS)
 
 
 def test_two_sweeps_do_not_write_one_file(tmp_path):
