@@ -8,7 +8,7 @@ from typing import Any
 
 from crazychoir.agent.mission_result import result_of_failure
 from crazychoir.config.swarm_config import SwarmConfig
-from crazychoir.config.uris import UDP_SCHEME
+from crazychoir.config.uris import UDP_SCHEME, canonical_uri
 from crazychoir.errors import Refused
 from crazychoir.radio.virtual.control import ask_server
 
@@ -27,7 +27,7 @@ class VirtualBodies:
 
     def _ask(self) -> Mapping[int, dict[str, Any]]:
         """Return what the server says of each drone of the swarm."""
-        uris = {drone.uri: drone.id for drone in self._config.drones}
+        uris = {canonical_uri(drone.uri): drone.id for drone in self._config.drones}
         mocap = self._config.mocap
         if mocap.source != "virtual" or not self._config.topology.reached:
             return {}
@@ -36,16 +36,20 @@ class VirtualBodies:
         except (OSError, Refused):
             return {}
         rows = {
-            f"{UDP_SCHEME}{row['at'][0]}:{row['at'][1]}": row
+            canonical_uri(f"{UDP_SCHEME}{row['at'][0]}:{row['at'][1]}"): row
             for row in answer["drones"].values()
         }
         return {uris[uri]: row for uri, row in rows.items() if uri in uris}
 
     def find_crashes(self) -> dict[int, str]:
-        """Return what has broken each drone since the beginning, or that it lies on its side."""
+        """Return what has broken each drone since the beginning, or that it lies on its side.
+
+        The speed of its fastest hit changes with a faster one, or begins anew where the drone is put
+        elsewhere or started again.
+        """
         crashes = {}
         for i, row in self._ask().items():
-            if row["crashed"] and row["impact"] > self._impacts.get(i, 0.0):
+            if row["crashed"] and row["impact"] != self._impacts.get(i, 0.0):
                 crashes[i] = str(row["crashed"])
             elif row["tumbled"]:
                 crashes[i] = "tumbled: it lies on its side or its back"

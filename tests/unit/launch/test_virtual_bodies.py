@@ -9,7 +9,7 @@ from crazychoir.launch.virtual_bodies import VirtualBodies, add_crashes
 
 def swarm(source="virtual"):
     drones = [
-        {"id": i, "home": [0, i, 0], "uri": f"udp://127.0.0.1:{19850 + i}"}
+        {"id": i, "home": [0, i, 0], "uri": f"udp://127.0.0.1:{19850 + i}/"}
         for i in (3, 2, 1)
     ]
     mocap = {"source": source, "port": 19840}
@@ -41,10 +41,11 @@ def test_a_fall_in_the_run_is_found_and_one_before_it_is_not(server):
     server |= {"0": body(19851), "1": body(19852, 3.0), "2": body(19853, 3.0)}
     bodies = VirtualBodies(swarm())
     server["0"] = body(19851, 2.5)
-    server["2"] = body(19853, 4.0)
+    slower_after_it_was_put_home = body(19853, 2.8)
+    server["2"] = slower_after_it_was_put_home
     assert bodies.find_crashes() == {
         1: "crashed: hit the floor at 2.50 m/s",
-        3: "crashed: hit the floor at 4.00 m/s",
+        3: "crashed: hit the floor at 2.80 m/s",
     }
 
 
