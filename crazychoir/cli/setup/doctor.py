@@ -211,7 +211,9 @@ def check_cameras(config: "SwarmConfig", hosts: list[str]) -> list[CheckResult]:
     rows = [camera_checks.check_library(source, has_library())]
     if source in SYSTEM_PROGRAMS:
         name, own_port = host_and_port(config.mocap.hostname)
-        port = int(own_port) if own_port.isdecimal() else SYSTEM_PORTS.get(source)
+        port = SYSTEM_PORTS.get(source)
+        if port is not None and own_port.isdecimal():
+            port = int(own_port)
         answer = "" if port is None else host_facts.connect_to_host(name, port)
         rows.append(camera_checks.check_system(source, name, port, answer))
     return rows

@@ -343,8 +343,9 @@ def test_cameras_that_do_not_answer_are_named_with_their_program(tmp_path, free)
     assert "Is Vicon Tracker or Nexus" in cause.mend
 
 
-def test_cameras_that_cannot_be_asked_are_said_not_to_be_checked(tmp_path):
-    cause = cameras(tmp_path, "optitrack", "")["cameras"]
+@pytest.mark.parametrize("port", ["", 1510])
+def test_cameras_that_cannot_be_asked_are_said_not_to_be_checked(tmp_path, port):
+    cause = cameras(tmp_path, "optitrack", port)["cameras"]
     assert cause.state == "warning"
     assert "not checked" in cause.found
 
