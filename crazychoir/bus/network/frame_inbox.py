@@ -110,7 +110,7 @@ class FrameInbox:
         self._distribute(peer, messages, arrived_ns, self._now_ns())
 
     def receive_local(self, process: str, data: bytes, sent_ns: int) -> None:
-        """Take a frame that came through a socket; its error does not stop the next one.
+        """Take a frame that came through a socket; an error of a receiver does not stop the next one.
 
         sent_ns: ns, time of sending by the clock of this machine
         """

@@ -116,10 +116,15 @@ class Greeter:
             self._greet(self._table.by_name)
 
     def _repeat_hello(self) -> None:
-        """Send HELLO again to each peer that may have lost it: a socket loses nothing."""
+        """Send HELLO again to each peer that may have lost it: a socket hardly loses any."""
         payload, _ = self._table.hello()
         peers = self._table.by_name.values()
-        doubtful = [peer.process for peer in peers if peer.told != payload]
+        connections = self._sockets.connections
+        doubtful = [
+            peer.process
+            for peer in peers
+            if peer.told != payload or peer.process not in connections
+        ]
         if doubtful:
             self._greet(doubtful)
 
