@@ -43,9 +43,8 @@ class DroneOrders:
         self._states: dict[int, Latest[State]] = {}
         self.statuses: dict[int, Status] = {}
         """The last status of each drone that has been heard."""
-        self._ends: dict[
-            int, str
-        ] = {}  # why each drone whose result was heard has ended
+        self._ends: dict[int, str] = {}
+        """Why the flight of each drone is over, if its result was the last that was heard."""
         self._open: set[asyncio.Task[Any]] = set()
         topic = DRONE_TOPICS.state
         for i in window.config.ids:
@@ -56,6 +55,7 @@ class DroneOrders:
 
     def _keep_status(self, i: int, status: Status, age: float) -> None:
         self.statuses[i] = status
+        self._ends.pop(i, None)  # its agent may have been started again
 
     def _keep_end(self, i: int, result: Mapping[str, Any], age: float) -> None:
         why = str(result.get("reason") or "").removeprefix(f"drone {i}: ")
