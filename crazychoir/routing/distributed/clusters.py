@@ -13,7 +13,7 @@ from crazychoir.routing.distributed.member import AnytimeSettings, SearchSetting
 from crazychoir.routing.distributed.team_order import TeamOrder
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.legs import measure_distances
-from crazychoir.routing.search.search import SEARCH_DEFAULTS
+from crazychoir.routing.search.search import SEARCH_DEFAULTS, SearchOptions
 from crazychoir.types import Mat, Vec
 
 Stops = Mapping[int, Sequence[int]]
@@ -225,8 +225,8 @@ class SearchPass:
     """Largest number of robots and of tasks in a cluster."""
     leaders: int
     """Leaders of each cluster."""
-    temperature: float
-    """First temperature, see SearchOptions."""
+    options: SearchOptions = SEARCH_DEFAULTS
+    """Parameters of the searches."""
 
 
 def list_usual_passes(
@@ -246,7 +246,6 @@ def list_usual_passes(
             settings.steps // passes,
             settings.cluster,
             settings.leaders,
-            SEARCH_DEFAULTS.first_temperature,
         )
 
 
@@ -258,19 +257,24 @@ def _list_long_passes(
     cluster = (2 * robots, 2 * tasks)
     for number, (share, temperature) in enumerate(settings.long_passes):
         steps = round(share * settings.steps)
-        yield SearchPass(number, steps, cluster, settings.leaders, temperature)
+        options = SearchOptions(first_temperature=temperature)
+        yield SearchPass(number, steps, cluster, settings.leaders, options)
 
 
 def list_anytime_passes(settings: AnytimeSettings) -> Iterator[SearchPass]:
     """Yield passes without end, which do not depend on the budget.
 
-    A larger budget of search steps therefore begins with all passes of a smaller one, and is never worse.
+    The first ones are short, so that a better plan comes soon and often. A larger budget of search
+    steps begins with all passes of a smaller one, and is therefore never worse.
     """
+    short = SearchOptions(first_temperature=settings.first_temperature, rounds=1)
+    long = SearchOptions(first_temperature=settings.temperature)
     for number in count():
+        is_short = number < settings.first_passes
         yield SearchPass(
             number,
-            settings.steps if number else settings.first_steps,
+            settings.first_steps if is_short else settings.steps,
             settings.cluster,
             settings.leaders,
-            settings.temperature,
+            short if is_short else long,
         )

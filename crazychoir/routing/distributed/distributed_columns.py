@@ -35,7 +35,6 @@ from crazychoir.routing.distributed.robot_profile import (
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
 from crazychoir.routing.pricing.route_table import RouteColumn, find_shortest_route
-from crazychoir.routing.search.search import SearchOptions
 from crazychoir.types import Vec
 
 DISTRIBUTED_COLUMNS_DISCLOSURES: tuple[str, ...] = (
@@ -268,7 +267,7 @@ class DistributedColumns:
             self._left_out,
             one.steps,
             one.number * self._member.place.robots + rank,
-            SearchOptions(first_temperature=one.temperature),
+            one.options,
         )
         old = {i: self.routes.get(i, []) for i in own.robots}
         worth = self._measure.compute_worth(new, own.tasks)

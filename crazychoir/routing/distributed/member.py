@@ -116,10 +116,12 @@ class AnytimeSettings:
 
     starters: int = 1
     """Number of robots that look for a first plan."""
-    first_passes: int = 3
-    """Passes before the relaxation of the problem and its proof."""
-    first_steps: int = 40_000
-    """Search steps of a leader in the first pass: few, for an early plan."""
+    first_passes: int = 10
+    """Short passes, before the relaxation of the problem and its proof."""
+    first_steps: int = 20_000
+    """Search steps of a leader in a short pass: few, for an early plan, and often a better one."""
+    first_temperature: float = 0.2
+    """First temperature of a short pass, as SearchOptions.first_temperature."""
     steps: int = 120_000
     """Search steps of a leader in each further pass.
 
@@ -127,7 +129,7 @@ class AnytimeSettings:
     more slowly. But the search ends between passes only.
     """
     temperature: float = 0.15
-    """First temperature, as SearchOptions.first_temperature: low, to keep most of the plan."""
+    """First temperature of a further pass: low, to keep most of the plan."""
     cluster: tuple[int, int] = (100, 200)
     """Largest number of robots and of tasks in a cluster; a smaller team is one cluster."""
     leaders: int = 1
@@ -204,6 +206,8 @@ class MethodProgress:
     """Number of the present round."""
     cost: float | None = None
     """m: cost of the best plan, None if unknown."""
+    bound: float | None = None
+    """m: no plan costs less; None if unknown."""
     relaxed: float | None = None
     """m: value of the relaxation over the routes that this robot knows, None if unknown."""
     violation: float = 0.0

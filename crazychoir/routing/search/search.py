@@ -32,8 +32,10 @@ class SearchOptions:
     removed_stops: float = 10.0
     """Stops that a step removes on average."""
     rounds: int = 2
-    """Number of parts of the steps. If there are several, and the makespan is not the first
-    objective, each part ends with set partitioning of the known routes.
+    """Number of parts of the steps; each begins at the first temperature."""
+    combines: bool = True
+    """Whether each part ends with set partitioning of the known routes, unless the makespan is the
+    first objective.
     """
 
 
@@ -139,7 +141,7 @@ class PlanSearch:
             tours = self._anneal(
                 tours, pool, random, shut, steps // options.rounds, options
             )
-            if options.rounds > 1 and not fleet.on_finish:
+            if options.combines and not fleet.on_finish:
                 tours = assemble_plan(fleet, pool, tours, shut)
         return self._found(tours, pool)
 

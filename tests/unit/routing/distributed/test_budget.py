@@ -1,11 +1,12 @@
 """The budget of a team: one end for all robots, more is never worse, and Ctrl-C keeps the best plan."""
 
-from itertools import count, pairwise
+from itertools import count, islice, pairwise
 
 import pytest
 
 from crazychoir.errors import ConfigError
 from crazychoir.optimization.rounds.budget import Budget, BudgetSettings
+from crazychoir.routing.distributed.clusters import list_anytime_passes
 from crazychoir.routing.distributed.member import AnytimeSettings, RoutingSettings
 from crazychoir.routing.distributed.plain_loop import make_team, solve_in_loop
 from crazychoir.routing.instance.generate import InstanceShape, random_instance
@@ -96,3 +97,13 @@ def test_seconds_without_a_clock_are_refused(graph):
 def test_a_negative_budget_is_refused(budget):
     with pytest.raises(ConfigError, match=r"allowed: 0 or more"):
         BudgetSettings(**budget)
+
+
+def test_the_first_passes_of_a_budget_are_short_and_make_one_part():
+    given = AnytimeSettings()
+    passes = list(islice(list_anytime_passes(given), given.first_passes + 2))
+    early = passes[: given.first_passes]
+    assert {one.steps for one in early} == {given.first_steps}
+    assert {one.options.rounds for one in early} == {1}
+    assert {one.steps for one in passes[given.first_passes :]} == {given.steps}
+    assert [one.number for one in passes] == list(range(len(passes)))

@@ -81,7 +81,7 @@ def test_a_small_team_with_long_routes_is_one_cluster_in_every_pass():
         assert len(cluster.tasks) == 66
     assert sum(one.steps for one in passes) == settings.steps
     assert passes[0].steps > passes[1].steps
-    assert passes[0].temperature > passes[1].temperature
+    assert passes[0].options.first_temperature > passes[1].options.first_temperature
 
 
 @pytest.mark.parametrize(("robots", "tasks"), [(7, 66), (6, 60)])
