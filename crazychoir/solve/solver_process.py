@@ -189,6 +189,23 @@ class SolverProcess:
                 serving.cancel()
 
     async def _work(self) -> None:
+        """Obey the orders of the parent, and report progress until the end.
+
+        Progress is reported during long steps too: the parent gives up a silent process.
+        """
+        async with asyncio.TaskGroup() as group:
+            reporting = group.create_task(self._keep_reporting())
+            await self._obey_orders()
+            reporting.cancel()
+
+    async def _keep_reporting(self) -> None:
+        while True:
+            await self._clock.sleep(self.spec["report_period"])
+            if self._go_ns:
+                with self._lock:
+                    self._report_progress()
+
+    async def _obey_orders(self) -> None:
         clock = self._clock
         write_line({"ready": True, "start_cpu_s": time.process_time()})
         await self._order("go")
@@ -253,7 +270,11 @@ class SolverProcess:
         self._next_report = now + self.spec["report_period"]
         progress = {i: robot.agent.progress for i, robot in self.robots.items()}
         write_line(
-            {"progress": {i: [p.phase, p.round, p.cost] for i, p in progress.items()}}
+            {
+                "progress": {
+                    i: [p.phase, p.round, p.cost, p.bound] for i, p in progress.items()
+                }
+            }
         )
 
     def _elapsed(self) -> float:

@@ -41,15 +41,17 @@ Kernels are compiled at the first use.
 """
 ROUND_DEADLINE = 600.0
 """s of a round, in which the slowest robot makes its longest step."""
+PROOF_ROUND_DEADLINE = 3600.0
+"""s of a round of a proof, which takes its time."""
 SHOWN_REPORT_PERIOD = 0.25
 """s between two reports of a process if its progress is shown."""
 REPORT_PERIOD = 10.0
 """s between two reports of a process if its progress is not shown."""
-PATIENCE_MARGIN = REPORT_PERIOD + 10.0
-"""s by which the silence of all processes may exceed a round: reports are late by a period."""
+PATIENCE = 300.0
+"""s without a report of any process until the team is given up; they report in long steps too."""
 
-Progress = dict[int, tuple[str, int, float | None]]
-"""{robot: (phase, round, cost of the best plan in m or None)}."""
+Progress = dict[int, tuple[str, int, float | None, float | None]]
+"""{robot: (phase, round, cost of the best plan in m, lower bound in m)}; None if unknown."""
 Answer = tuple[int, dict[str, Any]]
 """(number of a process, its answer)."""
 
@@ -59,7 +61,7 @@ def solve_in_processes(
     processes: int,
     options: SolveOptions = DEFAULT_SOLVE_OPTIONS,
     *,
-    deadline: float = ROUND_DEADLINE,
+    deadline: float | None = None,
     watch: Callable[[Progress], None] | None = None,
     interruption: Interruption | None = None,
 ) -> dict[str, Any]:
@@ -82,13 +84,17 @@ def solve_in_processes(
     instance: the pickup-and-delivery problem
     processes: number of processes
     options: method, network and seed
-    deadline: s, limit of each round; a solution may take any number of rounds
+    deadline: s, limit of each round; a solution may take any number of rounds. None for
+        ROUND_DEADLINE, or PROOF_ROUND_DEADLINE if the team proves
     watch: called with the progress of all robots, or None
     interruption: ends the computation with the best plan, None if nothing can
     Raises InstanceError, ConfigError, or ProcessFailed if a process fails, ends, or is silent for
     too long.
     """
     began = time.perf_counter()
+    if deadline is None:
+        proves = options.settings.proof.prove
+        deadline = PROOF_ROUND_DEADLINE if proves else ROUND_DEADLINE
     links = graph_from_name(options.graph, instance.robots, options.seed)
     if not 1 <= processes <= instance.robots:
         raise ConfigError(
@@ -126,14 +132,13 @@ def solve_in_processes(
             ProgramGroup(_build_commands(parts, common | {"base": base})) as group,
         ):
             run = SolverRun(group, parts, watch or (lambda progress: None))
-            patience = deadline + PATIENCE_MARGIN
             run.wait("ready", START_DEADLINE, "do not find each other")
             started = time.perf_counter() - began
             group.tell("go")
             with (interruption or Interruption()).telling(lambda: group.tell("stop")):
-                solved = run.wait("solved", patience, "have no plan")
+                solved = run.wait("solved", PATIENCE, "have no plan")
             group.tell("replay")
-            replayed = run.wait("replayed_s", patience, "do not repeat the rounds")
+            replayed = run.wait("replayed_s", PATIENCE, "do not repeat the rounds")
             group.tell("end")
     return _combine_results(instance, links, solved, replayed) | {
         "startup_s": started,

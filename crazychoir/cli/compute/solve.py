@@ -113,6 +113,7 @@ def solve(
 
     lower_bound: m; no plan costs less. If vehicles come first, this holds among
     plans with as few vehicles.
+    gap: how much of the cost a better plan could save at most.
     bound_exact: whether this bound is proven. A plan that costs its lower_bound
     is optimal.
     bound_relaxation: the kind of routes that priced a bound that is not exact.
@@ -195,14 +196,26 @@ def _draw(problem: "Instance", result: dict[str, Any], path: Path) -> None:
 
 def _team_table(team: "Team") -> Table:
     progress = {i: agent.progress for i, agent in team.items()}
-    return _progress_table({i: (p.phase, p.round, p.cost) for i, p in progress.items()})
+    return _progress_table(
+        {i: (p.phase, p.round, p.cost, p.bound) for i, p in progress.items()}
+    )
 
 
 def _progress_table(progress: "TeamProgress") -> Table:
-    """Return a table of phase, round and cost of the first robots, one row a robot."""
-    table = Table("robot", "phase", "round", "cost")
-    for i, (phase, k, cost) in list(progress.items())[:SHOWN_ROBOTS]:
-        table.add_row(str(i), phase, str(k), "" if cost is None else f"{cost:.3f}")
+    """Return a table of the progress of the first robots, one row a robot."""
+    from crazychoir.routing.instance.plan import compute_gap
+
+    table = Table("robot", "phase", "round", "cost", "lower bound", "gap")
+    for i, (phase, k, cost, bound) in list(progress.items())[:SHOWN_ROBOTS]:
+        gap = compute_gap(cost, bound)
+        table.add_row(
+            str(i),
+            phase,
+            str(k),
+            "" if cost is None else f"{cost:.3f}",
+            "" if bound is None else f"{bound:.3f}",
+            "" if gap is None else f"{100.0 * gap:.2f} %",
+        )
     if len(progress) > SHOWN_ROBOTS:
         table.add_row("...", f"and {len(progress) - SHOWN_ROBOTS} more")
     return table
@@ -255,6 +268,8 @@ def _figures(result: dict[str, Any]) -> dict[str, str]:
         if result["lower_bound"] is None
         else f"{result['lower_bound']:.6g}{_unit(result)}"
     )
+    if result["gap"] is not None:
+        rows["gap"] = f"{100.0 * result['gap']:.2f} %"
     rows["bound_exact"] = str(result["bound_exact"])
     if result["bound_relaxation"] is not None:
         rows["bound_relaxation"] = result["bound_relaxation"]

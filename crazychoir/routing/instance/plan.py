@@ -219,10 +219,16 @@ class Solution:
         """The routes as a plan."""
         return RoutePlan(self.routes)
 
+    @property
+    def gap(self) -> float | None:
+        """The share of the cost that a better plan could save at most; None without a bound."""
+        return compute_gap(self.cost, self.lower_bound)
+
     def to_json(self) -> dict[str, Any]:
-        """Return a JSON object with the fields above."""
+        """Return a JSON object with the fields above, and the gap."""
         raw = {k: v for k, v in self.__dict__.items() if k != "routes"}
         return raw | {
+            "gap": self.gap,
             "disclosed": list(self.disclosed),
             "work_curve": [list(point) for point in self.work_curve],
             "routes": [route.to_json() for route in self.routes],
@@ -234,7 +240,15 @@ class Solution:
         routes = tuple(Route.from_json(route) for route in raw["routes"])
         curve = tuple((work, cost) for work, cost in raw["work_curve"])
         lists = {"disclosed": tuple(raw["disclosed"]), "work_curve": curve}
-        return cls(**(raw | lists | {"routes": routes}))
+        fields = {name: value for name, value in raw.items() if name != "gap"}
+        return cls(**(fields | lists | {"routes": routes}))
+
+
+def compute_gap(cost: float | None, bound: float | None) -> float | None:
+    """Return (cost - bound) / cost; None if one of them is unknown, and 0 at a cost of 0."""
+    if cost is None or bound is None:
+        return None
+    return (cost - bound) / cost if cost else 0.0
 
 
 def _decode_stop(node: int, tasks: int) -> Stop:

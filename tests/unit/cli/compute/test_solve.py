@@ -36,6 +36,7 @@ def test_a_plain_plan_shows_neither_times_nor_trips(shown):
     lines = shown({})
     assert "cost 6.65028 m" in lines
     assert "lower_bound 6.65028 m" in lines
+    assert "gap 0.00 %" in lines
     assert not [
         line for line in lines if line.startswith(("makespan_s", "refused", "total_m"))
     ]
@@ -85,3 +86,12 @@ def test_a_plan_that_is_not_feasible_says_what_is_wrong(shown):
     lines = shown({}, feasible=False, violations=["robot 0: carries 2 [of] 1"])
     assert "not feasible" in lines
     assert "wrong robot 0: carries 2 [of] 1" in lines
+
+
+def test_the_progress_states_the_gap_as_soon_as_there_is_a_bound():
+    console = Console(file=io.StringIO(), width=80)
+    progress = {0: ("clusters", 9, 8.0, None), 1: ("partition", 40, 8.0, 7.0)}
+    console.print(solve._progress_table(progress))
+    first, second = console.file.getvalue().splitlines()[3:5]
+    assert "%" not in first
+    assert second.replace("│", " ").split()[-3:] == ["7.000", "12.50", "%"]

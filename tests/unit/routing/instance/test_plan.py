@@ -1,6 +1,8 @@
 import json
 from dataclasses import replace
 
+import pytest
+
 from crazychoir.routing.instance.plan import (
     Route,
     RoutePlan,
@@ -72,5 +74,10 @@ def test_a_solution_is_one_json_object():
     )
     raw = json.loads(json.dumps(solution.to_json()))
     assert raw["lower_bound"] is None
+    assert raw["gap"] is None
+    assert replace(solution, lower_bound=7.0).gap == pytest.approx(0.2)
+    assert Solution.from_json(replace(solution, lower_bound=7.0).to_json()).gap == (
+        pytest.approx(0.2)
+    )
     assert raw["routes"][1]["stops"][0] == {"task": 1, "kind": "pickup"}
     assert solution.plan == plan
