@@ -44,6 +44,12 @@ class BoundPasses:
     final_gap: float = 1e-5
     """Relative gap between the value of the known columns and the bound at which the passes end.
     """
+    final_share: float = 0.01
+    """The passes also end when this gap is so small a share of that between plan and bound.
+
+    A bound that is a little higher would hardly say more about such a plan, but it takes half of
+    all passes.
+    """
 
 
 BOUND_PASSES = BoundPasses()
@@ -64,7 +70,7 @@ class LargeBound:
     adopt the prices of the better solution.
 
     The passes end when
-    - the bound equals the value of the known columns,
+    - the bound is close to the value of the known columns, see BOUND_PASSES,
     - no prices bring new columns,
     - twice `passes` passes are over, or
     - the pricing of a robot is cut: it could serve more than MOST_TASKS tasks, or has too many
@@ -134,6 +140,7 @@ class LargeBound:
                 centre = pi
                 least = {i: float(known) for i, (known, _, _) in told.items()}
                 self.bound = Bound(value, pi, least=least)
+                member.report(bound=value)
             for i, (_, _, columns) in told.items():
                 self.pool.add(i, unpack_columns(columns))
             new = sum(
@@ -143,7 +150,7 @@ class LargeBound:
             if not new and not drawn:
                 break
             relaxed, prices = yield from self._agree(master)
-            if relaxed - best <= BOUND_PASSES.final_gap * max(1.0, abs(relaxed)):
+            if relaxed - best <= self._final_gap(relaxed, best):
                 break
             # If mixed prices find no columns, or the gap is small, use the columns' own prices.
             drawn = new > 0 and relaxed - best > BOUND_PASSES.mixing_gap * abs(relaxed)
@@ -154,6 +161,14 @@ class LargeBound:
                 else prices
             )
         self.value = best if best > -np.inf else None
+
+    def _final_gap(self, relaxed: float, best: float) -> float:
+        """Return the gap in m at which the passes end."""
+        open_gap = math.fsum(column.length for _, column in self._plan) - best
+        return max(
+            BOUND_PASSES.final_gap * max(1.0, abs(relaxed)),
+            BOUND_PASSES.final_share * open_gap,
+        )
 
     def _listed(self) -> HalfRoutes | None:
         """Return all half-routes of this robot, None if there are too many."""

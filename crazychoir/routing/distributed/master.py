@@ -82,6 +82,7 @@ class PartitionResult:
     """Result of a search for an integer plan.
 
     If no plan was found the cost is inf. If it is proven that there is none, the bound is inf too.
+    Where dearer plans may be left out, inf says that all plans are dearer.
     """
 
     cost: float
@@ -311,6 +312,7 @@ def find_partition(
     nodes: int,
     known: Routes | None = None,
     most: int | None = None,
+    below: float = np.inf,
 ) -> PartitionResult:
     """Find the cheapest set of columns that serves each task exactly once.
 
@@ -325,6 +327,7 @@ def find_partition(
     nodes: branch-and-bound nodes, at most.
     known: a solution to start from.
     most: number of columns, at most.
+    below: m; solutions that cost as much or more may be left out.
     Raises SolverError if HiGHS fails, also when it is run again without presolve and start.
     """
     columns = problem.columns
@@ -339,14 +342,14 @@ def find_partition(
             ]
         )
     highs = _search_columns(
-        _build_partition_model(problem, seed, number, most), nodes, start
+        _build_partition_model(problem, seed, number, most), nodes, start, below
     )
     if (
         highs.getModelStatus() not in PROPER_END_STATUSES
     ):  # HiGHS 1.x presolves some infeasible problems to a solution that it then rejects
         highs = _build_partition_model(problem, seed, number, most)
         highs.setOptionValue("presolve", "off")
-        highs = _search_columns(highs, nodes, None)
+        highs = _search_columns(highs, nodes, None, below)
     status = highs.getModelStatus()
     info = highs.getInfo()
     if status not in PROPER_END_STATUSES:
@@ -354,11 +357,10 @@ def find_partition(
     if info.primal_solution_status != int(
         highspy.SolutionStatus.kSolutionStatusFeasible
     ):
-        return PartitionResult(
-            np.inf,
-            {},
-            np.inf if not columns or status in NO_SOLUTION_STATUSES else -np.inf,
-        )
+        if not columns or status in NO_SOLUTION_STATUSES:
+            return PartitionResult(np.inf, {}, np.inf)
+        proven = info.mip_dual_bound
+        return PartitionResult(np.inf, {}, proven if proven < np.inf else -np.inf)
     chosen = [
         c
         for c, x in zip(columns, highs.getSolution().col_value, strict=True)
@@ -417,9 +419,9 @@ def find_fewest_columns(
 
 
 def _search_columns(
-    highs: highspy.Highs, nodes: int, start: Vec | None
+    highs: highspy.Highs, nodes: int, start: Vec | None, below: float
 ) -> highspy.Highs:
-    """Run branch and bound over binary columns and return the solver."""
+    """Run branch and bound over binary columns, for costs below `below`; return the solver."""
     n = highs.getNumCol()
     index = np.arange(n, dtype=np.int32)
     highs.changeColsIntegrality(
@@ -427,6 +429,7 @@ def _search_columns(
     )
     highs.setOptionValue("mip_rel_gap", 0.0)
     highs.setOptionValue("mip_max_nodes", nodes)
+    highs.setOptionValue("objective_bound", below)
     if start is not None:
         highs.setSolution(n, index, start)
     highs.run()

@@ -13,6 +13,7 @@ from crazychoir.routing.distributed.bound import Bound, find_fitting_gap
 from crazychoir.routing.distributed.master import (
     ColumnPool,
     PartitionProblem,
+    PartitionResult,
     Routes,
     find_fewest_columns,
     find_partition,
@@ -22,6 +23,9 @@ from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
 from crazychoir.routing.instance.plan import hash_json
 from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
 from crazychoir.routing.pricing.route_table import RouteColumn, RouteTable
+
+HOPELESS_GAP_SHARE = 0.5
+"""Share of a plan's own gap; plans in a gap below it are searched for the sake of the bound alone."""
 
 
 @dataclass(frozen=True)
@@ -97,6 +101,7 @@ class PlanProof:
         self._tolerance = member.tolerance(bound.value)
         self._none = False
         self._exhausted = False
+        self._below = np.inf
         self.proven = bound.value
 
     def run(self) -> Exchange[TaskPartition]:
@@ -148,12 +153,13 @@ class PlanProof:
         """Search in the widest gap that has at most `most_proven` columns.
 
         The search is repeated only if its plan makes the plan's own gap that narrow.
-        One robot searches, because a search may take minutes.
+        One robot searches, because a search may take minutes. If this gap is far below the plan's
+        own, only plans within it are searched: there will hardly be any, which is soon proven.
 
         nodes: branch-and-bound nodes of a search, at most.
         """
         settings = self._member.settings
-        self._member.report(phase="plan")
+        self._member.report(phase="partition")
         self._member.kind = "columns"
         self._nodes = nodes
         self._searchers = 1
@@ -171,6 +177,9 @@ class PlanProof:
             if gap <= searched or (searched and gap < widest):
                 return
             near = self._near(gap, settings.proof.most_proven)
+            self._below = self._bound.value + gap
+            if gap >= HOPELESS_GAP_SHARE * widest or self._member.vehicle_weight:
+                self._below = np.inf
             yield from self._search_columns(near or [], gap)
             searched = gap
 
@@ -181,6 +190,7 @@ class PlanProof:
         if found is None:
             return
         self.proven = max(self.proven, min(found.searched, self._bound.value + gap))
+        self._member.report(bound=self.proven)
         if self.best is None or found.cost < self.best.cost:
             self.best = found
 
@@ -291,7 +301,7 @@ class PlanProof:
         useful += refusals
         known = (
             None
-            if self.best is None
+            if self.best is None or self._below < np.inf
             else self._with_refusals(self.best.routes, refusals)
         )
         weight = self._member.vehicle_weight
@@ -304,7 +314,12 @@ class PlanProof:
                 problem, self._i, self._nodes, weight, least, known
             )
         else:
-            found = find_partition(problem, self._i, self._nodes, known)
+            found = find_partition(
+                problem, self._i, self._nodes, known, below=self._below
+            )
+        if self._below < np.inf and self.best is not None and found.cost == np.inf:
+            bound = min(found.bound, self._below)
+            found = PartitionResult(self.best.cost, self.best.routes, bound)
         if found.cost == np.inf and found.bound < np.inf:
             return None
         robots = self._member.place.robots

@@ -5,7 +5,7 @@ import pytest
 
 from crazychoir.bus.codec import decode, encode
 from crazychoir.errors import SolverError
-from crazychoir.routing.distributed import large_bound
+from crazychoir.routing.distributed import large_bound, proof
 from crazychoir.routing.distributed import robot_profile as introduction
 from crazychoir.routing.distributed.cluster_problem import (
     bound_saving,
@@ -775,3 +775,53 @@ def test_a_team_of_two_kinds_prices_once_a_kind_and_proves_what_single_robots_pr
     assert found.cost == pytest.approx(apart.cost)
     assert found.bound_exact
     assert found.lower_bound == pytest.approx(found.cost, abs=1e-4)
+
+
+def test_the_passes_of_a_bound_end_sooner_for_a_plan_that_is_far_from_it(
+    graph, monkeypatch
+):
+    instance = random_instance(4, 7, 2, InstanceShape(route_length_limit=27.0))
+    links = graph("ring", 4)
+    plan = [(0, RouteColumn(90.0, (0, 1)))]
+    priced = LargeBound._priced
+    calls = []
+    monkeypatch.setattr(
+        LargeBound, "_priced", lambda self, pi: calls.append(pi) or priced(self, pi)
+    )
+    found = []
+    for share in (0.0, 0.1):
+        calls.clear()
+        passes = large_bound.BoundPasses(final_share=share)
+        monkeypatch.setattr(large_bound, "BOUND_PASSES", passes)
+        team = [LargeBound(member, plan) for member in members(instance, links)]
+        run_all([bound.run() for bound in team], links)
+        found.append((len(calls), team[0].value))
+    (calls_exact, exact), (calls_early, early) = found
+    assert calls_early < calls_exact
+    assert exact - 0.1 * (90.0 - early) - 1e-4 * exact <= early <= exact + 1e-9
+
+
+@pytest.mark.parametrize(("seed", "most"), [(1, 6), (2, 6), (2, 20)])
+def test_a_proof_that_looks_only_at_plans_near_the_bound_is_right(
+    graph, monkeypatch, seed, most
+):
+    """The plan is so poor that few columns are enough for the bound, or for a better plan."""
+    searched = []
+    find = proof.find_partition
+
+    def follow(*arguments, **options):
+        searched.append(options["below"])
+        return find(*arguments, **options)
+
+    monkeypatch.setattr(proof, "find_partition", follow)
+    shape = InstanceShape(capable=0.8, route_length_limit=30.0)
+    instance = random_instance(4, 6, seed, shape)
+    poor = RoutingSettings(
+        columns=ColumnSettings(most_listed=0),
+        search=SearchSettings(starters=1, first_steps=2, steps=1),
+        proof=ProofSettings(prove=True, most_proven=most),
+    )
+    best = cheapest_of_all_plans(instance)
+    found = solve_in_loop(instance, graph("ring", 4), settings=poor)
+    assert min(searched) < np.inf
+    assert 0.99 * best <= found.lower_bound <= best + 1e-6 <= found.cost + 2e-6

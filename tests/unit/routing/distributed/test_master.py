@@ -137,10 +137,10 @@ def test_a_failed_search_is_retried_once_without_its_start_and_then_raises(
         master._search_columns,
     )
 
-    def breaking(highs, nodes, start):
+    def breaking(highs, nodes, start, below):
         runs.append(start)
         if len(runs) > broken:
-            return searched(highs, nodes, start)
+            return searched(highs, nodes, start, below)
         status = highspy.HighsModelStatus.kSolveError
         return SimpleNamespace(getModelStatus=lambda: status, getInfo=highs.getInfo)
 
@@ -221,3 +221,14 @@ def test_a_problem_with_other_lengths_has_the_same_tasks_and_groups():
     )
     with pytest.raises(ValueError, match="zip"):
         problem.with_lengths([])
+
+
+def test_no_plan_is_missed_that_costs_less_than_the_searched_ones(columns):
+    best = cheapest_exact_cover(columns)
+    problem = PartitionProblem(columns, 4)
+    for below in (best - 2.0, best - 1e-3):
+        none = find_partition(problem, 0, 1000, below=below)
+        assert min(none.cost, none.bound) >= best - 1e-9
+    found = find_partition(problem, 0, 1000, below=best + 1e-3)
+    assert found.cost == pytest.approx(best)
+    assert found.bound <= best + 1e-9
