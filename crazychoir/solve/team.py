@@ -47,7 +47,7 @@ SHOWN_REPORT_PERIOD = 0.25
 """s between two reports of a process if its progress is shown."""
 REPORT_PERIOD = 10.0
 """s between two reports of a process if its progress is not shown."""
-PATIENCE = 300.0
+REPORT_PATIENCE = 300.0
 """s without a report of any process until the team is given up; they report in long steps too."""
 
 Progress = dict[int, tuple[str, int, float | None, float | None]]
@@ -136,9 +136,11 @@ def solve_in_processes(
             started = time.perf_counter() - began
             group.tell("go")
             with (interruption or Interruption()).telling(lambda: group.tell("stop")):
-                solved = run.wait("solved", PATIENCE, "have no plan")
+                solved = run.wait("solved", REPORT_PATIENCE, "have no plan")
             group.tell("replay")
-            replayed = run.wait("replayed_s", PATIENCE, "do not repeat the rounds")
+            replayed = run.wait(
+                "replayed_s", REPORT_PATIENCE, "do not repeat the rounds"
+            )
             group.tell("end")
     return _combine_results(instance, links, solved, replayed) | {
         "startup_s": started,
