@@ -40,6 +40,9 @@ from crazychoir.types import (
     Vec,
 )
 
+RISE_DELAY = 3.0  # s
+"""Longest delay of a rise that the safety table brakes."""
+
 
 class FlightFollower:
     """Holds the reference and the plan of one drone, and begins new plans from where it is.
@@ -341,3 +344,34 @@ class FlightFollower:
             if is_goto:
                 self._goto_plan = flights.plan
         flights.load(now)
+
+
+class Rise:
+    """The rise of a drone at its take-off, which goes on after the safety table has braked it.
+
+    row: of the drone in its batch
+    follower: of the drone, which plans the rise
+    """
+
+    def __init__(self, row: DroneRow, follower: FlightFollower) -> None:
+        self._row = row
+        self._follower = follower
+        self._height = 0.0  # m, world: where it ends
+        self._end = 0.0  # s: time at which it was planned to end
+
+    def begin(self, height: float | None, now: float, least: float) -> float:
+        """Plan the rise to `height` m above the ground in at least `least` s; return its s."""
+        self._height = float(self._follower.get_place_above(height)[2])
+        seconds = self._follower.begin_take_off(height, now, least)
+        self._end = now + seconds
+        return seconds
+
+    def go_on(self, now: float) -> None:
+        """Plan the rest of the rise, straight up from here."""
+        x, y, _ = self._row.get_state().p
+        goal = np.array([x, y, self._height])
+        self._follower.fly_leg(goal, now, max(self._end - now, 0.0))
+
+    def is_late(self, now: float) -> bool:
+        """Return whether it is too late to go on, so that it ends where the drone is."""
+        return now >= self._end + RISE_DELAY

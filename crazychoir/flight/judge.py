@@ -9,7 +9,7 @@ import numpy as np
 from crazychoir.flight.batch import Course, DroneRow
 from crazychoir.flight.body import DroneBody
 from crazychoir.flight.flight_limits import SEEN_AGE, TOUCHDOWN_LIMITS
-from crazychoir.flight.follower import FlightFollower
+from crazychoir.flight.follower import FlightFollower, Rise
 from crazychoir.flight.ground_watch import LANDS_ASTRAY, GroundWatch
 from crazychoir.flight.homecoming import Homecoming
 from crazychoir.flight.notes import FlightNotes
@@ -33,8 +33,6 @@ from crazychoir.types import Point, State, Vec
 
 LOW_MODES = (TAKEOFF_MODE, LAND_MODE)
 """Modes in which the drone leaves the fence downwards."""
-RISE_DELAY = 3.0  # s
-"""Delay of a take-off that the safety table brakes, from which on it ends where the drone is."""
 CUT_OFF_TEXT = "hears no more than half of the drones that fly: landing"
 """Reason of the landing of a drone that is cut off from the others."""
 
@@ -73,8 +71,7 @@ class Judge:
         self.ground_watch = GroundWatch(setup, row, body, guard, notes)
         self.braked = 0
         """Number of times the safety table has braked the drone in this flight."""
-        self._rise_height = 0.0  # m, world: where the last take-off ends
-        self._rise_end = 0.0  # s: time at which it was planned to end
+        self._rise = Rise(row, follower)
         self.watch_always()
 
     def watch_always(self) -> None:
@@ -157,7 +154,7 @@ class Judge:
                 verdict.reason,
                 verdict.action >= Action.LAND,
             )
-            if self._row.mode is TAKEOFF_MODE and now >= self._rise_end + RISE_DELAY:
+            if self._row.mode is TAKEOFF_MODE and self._rise.is_late(now):
                 self._permission.change(ModeEvent.ARRIVED)
         if verdict.action is self._row.obeyed:
             return
@@ -170,13 +167,7 @@ class Judge:
         elif verdict.action is Action.BRAKE and self._row.mode is not LAND_MODE:
             self._follower.brake(now)
         elif self._row.mode is TAKEOFF_MODE:
-            self._rise_on(now)
-
-    def _rise_on(self, now: float) -> None:
-        """Go on with a take-off that the safety table has braked, straight up from here."""
-        x, y, _ = self._row.get_state().p
-        goal = np.array([x, y, self._rise_height])
-        self._follower.fly_leg(goal, now, max(self._rise_end - now, 0.0))
+            self._rise.go_on(now)
 
     def begin_anew(self, now: float) -> None:
         """Come to rest and hover, or continue to land, after a failed tick.
@@ -285,9 +276,7 @@ class Judge:
         if not self._setup.controls.takes_off:
             self._permission.skip_take_off()
             return 0.0
-        self._rise_height = float(self._follower.get_place_above(height)[2])
-        seconds = self._follower.begin_take_off(height, now, duration)
-        self._rise_end = now + seconds
+        seconds = self._rise.begin(height, now, duration)
         self.ground_watch.begin_take_off(float(state.p[2]), now)
         self._guard.forget()
         self._permission.change(ModeEvent.TAKE_OFF)

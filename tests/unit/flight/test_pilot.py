@@ -17,7 +17,7 @@ from crazychoir.control.gains import STANDARD_GAINS
 from crazychoir.errors import ConfigError
 from crazychoir.flight.clearance import CLEARANCE_TIMES
 from crazychoir.flight.flight_limits import TOUCHDOWN_LIMITS
-from crazychoir.flight.judge import RISE_DELAY
+from crazychoir.flight.follower import RISE_DELAY
 from crazychoir.flight.pilot import GIVE_UP_HOVER
 from crazychoir.flight.stages import _evade
 from crazychoir.flight.tick import FlightTick
