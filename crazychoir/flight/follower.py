@@ -1,5 +1,6 @@
 """What one drone flies: the reference of its guidance, or a flight that the pilot has planned."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -41,7 +42,7 @@ from crazychoir.types import (
 )
 
 RISE_DELAY = 3.0  # s
-"""Longest delay of a rise that the safety table brakes."""
+"""Longest time for which the safety table brakes a rise that goes on then."""
 
 
 class FlightFollower:
@@ -357,21 +358,34 @@ class Rise:
         self._row = row
         self._follower = follower
         self._height = 0.0  # m, world: where it ends
-        self._end = 0.0  # s: time at which it was planned to end
+        self._left = 0.0  # s that were left of it when it was braked last
+        self._braked_at = math.inf  # s: when it was braked; inf while it is not
+        self._braked = 0.0  # s that earlier brakes of it took
 
     def begin(self, height: float | None, now: float, least: float) -> float:
         """Plan the rise to `height` m above the ground in at least `least` s; return its s."""
         self._height = float(self._follower.get_place_above(height)[2])
-        seconds = self._follower.begin_take_off(height, now, least)
-        self._end = now + seconds
-        return seconds
+        self._braked_at = math.inf
+        self._braked = 0.0
+        return self._follower.begin_take_off(height, now, least)
+
+    def brake(self, now: float) -> None:
+        """Note that the drone is about to brake."""
+        self._left = self._follower.flights.remaining(now)
+        self._braked_at = now
 
     def go_on(self, now: float) -> None:
         """Plan the rest of the rise, straight up from here."""
+        self._braked = self._measure_brakes(now)
+        self._braked_at = math.inf
         x, y, _ = self._row.get_state().p
         goal = np.array([x, y, self._height])
-        self._follower.fly_leg(goal, now, max(self._end - now, 0.0))
+        self._follower.fly_leg(goal, now, self._left)
 
     def is_late(self, now: float) -> bool:
-        """Return whether it is too late to go on, so that it ends where the drone is."""
-        return now >= self._end + RISE_DELAY
+        """Return whether it was braked for too long to go on, so that it ends where the drone is."""
+        return self._measure_brakes(now) >= RISE_DELAY
+
+    def _measure_brakes(self, now: float) -> float:
+        """Return the time in s that all brakes of this rise took."""
+        return self._braked + max(now - self._braked_at, 0.0)

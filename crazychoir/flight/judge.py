@@ -165,6 +165,7 @@ class Judge:
         elif verdict.action is Action.LAND:
             self._give_up(verdict.reason, now)
         elif verdict.action is Action.BRAKE and self._row.mode is not LAND_MODE:
+            self._rise.brake(now)
             self._follower.brake(now)
         elif self._row.mode is TAKEOFF_MODE:
             self._rise.go_on(now)

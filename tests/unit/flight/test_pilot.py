@@ -256,8 +256,8 @@ async def test_a_take_off_that_a_short_gap_in_the_poses_brakes_goes_on(clock):
 async def test_a_take_off_that_is_braked_again_and_again_ends_where_the_drone_is(clock):
     drone = Flown(clock)
     await drone.fly(0.05)
-    seconds = drone.pilot.take_off(duration=2.0)
-    for _ in range(round((seconds + RISE_DELAY) / 0.3)):
+    drone.pilot.take_off(duration=2.0)
+    for _ in range(round(RISE_DELAY / 0.3) - 1):
         await drone.fly(0.15)
         await drone.fly(0.15, poses=False)
     assert drone.pilot.mode is Mode.TAKEOFF
@@ -265,6 +265,22 @@ async def test_a_take_off_that_is_braked_again_and_again_ends_where_the_drone_is
         await drone.fly(0.15)
         await drone.fly(0.15, poses=False)
     assert drone.pilot.mode is Mode.HOVER
+
+
+@virtual
+async def test_a_take_off_that_has_waited_for_other_drones_goes_on_after_a_brake(
+    clock,
+):
+    drone = Flown(clock)
+    await drone.fly(0.05)
+    drone.pilot.take_off(duration=2.0)
+    await drone.fly(0.1)
+    drone.pilot.flights.wait(2.0 * RISE_DELAY)
+    await drone.fly(2.0 * RISE_DELAY)
+    await drone.fly(0.15, poses=False)
+    await drone.fly(3.5)
+    assert drone.pilot.mode is Mode.HOVER
+    assert drone.p[2] == pytest.approx(FlightTable().takeoff_height, abs=0.02)
 
 
 @virtual
