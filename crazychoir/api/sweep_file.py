@@ -77,12 +77,13 @@ class SweepFile:
     def _read(self) -> None:
         """Read the rows of an earlier sweep, and remove a line that was not written to its end."""
         lines = self.path.read_bytes().splitlines(keepends=True)
-        is_cut = bool(lines) and not lines[-1].endswith(b"\n")
-        runs = [_parse_line(line) for line in lines[: len(lines) - is_cut]]
-        self._require_runs(lines, runs)
+        is_cut = bool(lines) and _is_cut(lines[-1])
+        cut_line = lines.pop() if is_cut else b""
+        runs = [_parse_line(line) for line in lines]
+        self._require_runs(cut_line, runs)
         missions: dict[str, int] = {}
         stale = 0
-        for number, (line, run) in enumerate(zip(lines, runs, strict=False), 1):
+        for number, (line, run) in enumerate(zip(lines, runs, strict=True), 1):
             if run is None:
                 do = "it is left out, and its run flies again if it is of this sweep"
                 log.warning("%s: line %d is damaged: %s", self.path, number, do)
@@ -93,16 +94,21 @@ class SweepFile:
             elif self._has_inputs_of_a_run(run.row):
                 stale += 1
             else:
-                self._other_lines.append(line.decode())
+                self._other_lines.append(line.decode().rstrip("\n") + "\n")
         self._require_own_runs(missions, stale)
-        self._file.truncate(sum(len(line) for line in lines[: len(lines) - is_cut]))
+        self._file.truncate(sum(len(line) for line in lines))
+        if is_cut:
+            log.warning("%s: the last line was cut off, and is removed", self.path)
+        if lines and not lines[-1].endswith(b"\n"):
+            self._file.write("\n")
 
-    def _require_runs(
-        self, lines: Sequence[bytes], runs: Sequence[KeptRun | None]
-    ) -> None:
-        """Raise ConfigError for a file that no sweep has written; its only line may have been cut."""
-        has_cut_line = not runs and all(_is_line_start(line) for line in lines)
-        if not has_cut_line and all(run is None for run in runs):
+    def _require_runs(self, cut_line: bytes, runs: Sequence[KeptRun | None]) -> None:
+        """Raise ConfigError for a file that no sweep has written.
+
+        cut_line: its last line if that was not written to its end; empty if it was
+        """
+        is_foreign = runs or not LINE_START.startswith(cut_line[: len(LINE_START)])
+        if is_foreign and all(run is None for run in runs):
             self._refuse("another file", "")
 
     def _require_own_runs(self, missions: Mapping[str, int], stale: int) -> None:
@@ -152,10 +158,16 @@ def _parse_line(line: bytes) -> KeptRun | None:
     """Return the run of a line; None for a damaged line, or one of another program."""
     try:
         return msgspec.convert(json.loads(line), KeptRun)
-    except (ValueError, msgspec.ValidationError):
+    except (ValueError, RecursionError, msgspec.ValidationError):
         return None
 
 
-def _is_line_start(line: bytes) -> bool:
-    """Return whether a line that was cut may be one of a sweep."""
-    return LINE_START.startswith(line[: len(LINE_START)])
+def _is_cut(last_line: bytes) -> bool:
+    """Return whether the last line of a file was not written to its end."""
+    if last_line.endswith(b"\n"):
+        return False
+    try:
+        json.loads(last_line)
+    except (ValueError, RecursionError):
+        return True
+    return False

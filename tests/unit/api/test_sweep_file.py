@@ -34,7 +34,7 @@ def test_an_interrupted_sweep_goes_on(tmp_path, cut):
         file.add("a", row("a"))
     path.write_bytes(path.read_bytes()[: -cut or None])
     with SweepFile(path, MISSION, RUNS) as file:
-        assert list(file.rows) == (["c", "a"] if cut == 0 else ["c"])
+        assert list(file.rows) == (["c", "a"] if cut <= 1 else ["c"])
         for key in KEYS:
             if key not in file.rows:
                 file.add(key, row(key))
@@ -102,6 +102,18 @@ def test_rows_of_another_mission_are_refused_whatever_their_inputs_are(tmp_path)
     with pytest.raises(ConfigError, match=found):
         SweepFile(path, "grid", {"d": {"seed": "d"}}).__enter__()
     assert path.read_bytes() == before
+
+
+def test_a_last_line_without_its_end_is_kept_if_it_is_whole(tmp_path):
+    path = tmp_path / "a.jsonl"
+    before = whole(path)
+    path.write_bytes(before.rstrip(b"\n"))
+    with SweepFile(path, MISSION, RUNS) as file:
+        assert list(file.rows) == list(RUNS)
+    assert path.read_bytes() == before
+    path.write_bytes(before.rstrip(b"\n"))
+    with pytest.raises(ConfigError, match="runs of another mission"):
+        SweepFile(path, "grid", {"d": {"seed": "d"}}).__enter__()
 
 
 def test_a_figure_may_have_the_name_of_a_field_of_its_line(tmp_path):
