@@ -55,7 +55,6 @@ class DroneOrders:
 
     def _keep_status(self, i: int, status: Status, age: float) -> None:
         self.statuses[i] = status
-        self._ends.pop(i, None)  # its agent may have been started again
 
     def _keep_end(self, i: int, result: Mapping[str, Any], age: float) -> None:
         why = str(result.get("reason") or "").removeprefix(f"drone {i}: ")
@@ -117,7 +116,10 @@ class DroneOrders:
             done, (answer, reason) = await task
         finally:
             task.cancel()
-        return None if done else self._receipt(i, verb, answer, reason)
+        if not done:
+            return self._receipt(i, verb, answer, reason)
+        self._ends.pop(i, None)  # an earlier agent of the drone
+        return None
 
     async def _wait_until_accepted(
         self, task: asyncio.Future[Any], accepted: asyncio.Event
