@@ -140,7 +140,7 @@ class LargeBound:
                 centre = pi
                 least = {i: float(known) for i, (known, _, _) in told.items()}
                 self.bound = Bound(value, pi, least=least)
-                member.report(bound=value)
+                member.report_bound(value)
             for i, (_, _, columns) in told.items():
                 self.pool.add(i, unpack_columns(columns))
             new = sum(
@@ -164,11 +164,11 @@ class LargeBound:
 
     def _final_gap(self, relaxed: float, best: float) -> float:
         """Return the gap in m at which the passes end."""
+        least = BOUND_PASSES.final_gap * max(1.0, abs(relaxed))
+        if self._member.vehicle_weight:
+            return least
         open_gap = math.fsum(column.length for _, column in self._plan) - best
-        return max(
-            BOUND_PASSES.final_gap * max(1.0, abs(relaxed)),
-            BOUND_PASSES.final_share * open_gap,
-        )
+        return max(least, BOUND_PASSES.final_share * open_gap)
 
     def _listed(self) -> HalfRoutes | None:
         """Return all half-routes of this robot, None if there are too many."""

@@ -9,6 +9,7 @@ import numpy as np
 from crazychoir.optimization.rounds.budget import NO_BUDGET, Budget, BudgetSettings
 from crazychoir.routing.instance.instance import LocalProblem
 from crazychoir.routing.instance.plan import hash_json
+from crazychoir.routing.instance.vehicle import OBJECTIVE_NAMES
 from crazychoir.routing.pricing.route_table import (
     MOST_TABLE_LABELS,
     RouteTable,
@@ -361,6 +362,17 @@ class RoutingMember:
             return
         if not self.curve or abs(self.curve[-1][1] - cost) > EQUAL_COST_TOLERANCE:
             self.curve.append((self.budget.work, cost))
+
+    def report_bound(self, value: float) -> None:
+        """Report a proven bound on the value of the relaxation in m, where it is one on the cost too.
+
+        It is not if vehicles are counted first, refusals are weighed by priority, or the objective
+        is the makespan.
+        """
+        local = self.local
+        is_other = local.objective[0] == OBJECTIVE_NAMES.makespan
+        if not (self.vehicle_weight or is_other or (local.tasks.priority > 0).any()):
+            self.report(bound=value)
 
     def report(self, **news: object) -> None:
         """Replace fields of `progress`."""

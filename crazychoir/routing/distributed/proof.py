@@ -190,7 +190,8 @@ class PlanProof:
         if found is None:
             return
         self.proven = max(self.proven, min(found.searched, self._bound.value + gap))
-        self._member.report(bound=self.proven)
+        if self._bound.exact:
+            self._member.report_bound(self.proven)
         if self.best is None or found.cost < self.best.cost:
             self.best = found
 
@@ -317,7 +318,8 @@ class PlanProof:
             found = find_partition(
                 problem, self._i, self._nodes, known, below=self._below
             )
-        if self._below < np.inf and self.best is not None and found.cost == np.inf:
+        is_cut_off = self._below < np.inf and self.best is not None
+        if is_cut_off and found.cost >= self.best.cost:
             bound = min(found.bound, self._below)
             found = PartitionResult(self.best.cost, self.best.routes, bound)
         if found.cost == np.inf and found.bound < np.inf:

@@ -245,10 +245,10 @@ class Solution:
 
 
 def compute_gap(cost: float | None, bound: float | None) -> float | None:
-    """Return (cost - bound) / cost; None if one of them is unknown, and 0 at a cost of 0."""
+    """Return (cost - bound) / cost, from 0 to 1; None if one of them is unknown, and 0 at a cost of 0."""
     if cost is None or bound is None:
         return None
-    return (cost - bound) / cost if cost else 0.0
+    return min(max((cost - bound) / cost, 0.0), 1.0) if cost else 0.0
 
 
 def _decode_stop(node: int, tasks: int) -> Stop:

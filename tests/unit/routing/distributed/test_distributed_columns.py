@@ -34,7 +34,11 @@ from crazychoir.routing.distributed.member import (
     SearchSettings,
 )
 from crazychoir.routing.distributed.packing import pack_columns
-from crazychoir.routing.distributed.plain_loop import compute_diameter, solve_in_loop
+from crazychoir.routing.distributed.plain_loop import (
+    compute_diameter,
+    make_team,
+    solve_in_loop,
+)
 from crazychoir.routing.distributed.robot_profile import introduce_robots
 from crazychoir.routing.distributed.team_order import TeamOrder
 from crazychoir.routing.instance.checker import check_plan
@@ -825,3 +829,35 @@ def test_a_proof_that_looks_only_at_plans_near_the_bound_is_right(
     found = solve_in_loop(instance, graph("ring", 4), settings=poor)
     assert min(searched) < np.inf
     assert 0.99 * best <= found.lower_bound <= best + 1e-6 <= found.cost + 2e-6
+
+
+PRIORITY = {"priority": [0, 1, 0, 0, 2], "penalty": [None, 3, None, 4, 3]}
+
+
+@pytest.mark.parametrize(
+    ("fields", "method", "columns", "has_bound"),
+    [
+        ({}, "columns", ColumnSettings(), True),
+        ({}, "resource-columns", ColumnSettings(most_labels=80), False),
+        ({"objective": ["vehicles", "total"]}, "columns", ColumnSettings(), False),
+        ({"objective": ["makespan"]}, "columns", ColumnSettings(), False),
+        (PRIORITY, "columns", ColumnSettings(), False),
+    ],
+)
+def test_a_bound_that_is_shown_while_a_team_works_is_one_on_its_cost(
+    graph, fields, method, columns, has_bound
+):
+    shape = InstanceShape(route_length_limit=30.0, fields=fields)
+    instance = random_instance(3, 5, 1, shape)
+    ring = graph("ring", 3)
+    agents = make_team(instance, ring, method, RoutingSettings(columns=columns))
+    shown = []
+    while not all(agent.done for agent in agents.values()):
+        messages = {i: agent.message() for i, agent in agents.items()}
+        for i, agent in agents.items():
+            agent.step({j: messages[j] for j in ring[i]})
+            shown.append(agent.progress.bound)
+    cost = sum(agent.solution.cost for agent in agents.values()) / len(agents)
+    bounds = [bound for bound in shown if bound is not None]
+    assert bool(bounds) is has_bound
+    assert all(bound <= cost + 1e-6 for bound in bounds)
