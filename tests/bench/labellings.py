@@ -30,6 +30,7 @@ from crazychoir.solve.solve_options import SolveOptions
 from crazychoir.solve.solving import solve_here
 
 MOST_EXPLORATION = 5
+MOST_RUNS_WITHOUT_PLAN = 20
 ROBOT_FIELDS = ("home", "capacity", "capability")
 TASK_FIELDS = ("pickup", "delivery", "load")
 CAPACITIES = (3, 8)
@@ -113,7 +114,7 @@ def draw_labellings(instance: Instance, count: int) -> Iterator[Instance]:
 
 
 def solve_with_vroom(instance: Instance, seconds: float, exploration: int) -> float:
-    """Return VROOM's least cost in m, of restarts in random orders for some seconds of CPU.
+    """Return VROOM's least cost in m, of restarts in random orders for some seconds of CPU; inf for no plan.
 
     It runs at least once, which takes minutes with 200 tasks and the highest exploration level.
     """
@@ -122,7 +123,11 @@ def solve_with_vroom(instance: Instance, seconds: float, exploration: int) -> fl
     draw = np.random.default_rng(1)
     began = time.process_time()
     least = np.inf
-    while least == np.inf or time.process_time() - began < seconds:
+    runs = 0
+    while (least == np.inf and runs < MOST_RUNS_WITHOUT_PLAN) or (
+        time.process_time() - began < seconds
+    ):
+        runs += 1
         routes = run_vroom(vroom, problem, draw, exploration, 1)
         if problem.serves_all(routes):
             least = min(least, problem.cost(routes))
