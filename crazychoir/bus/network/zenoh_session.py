@@ -60,6 +60,13 @@ OPEN_NETWORK_WARNING = (
     "every host on it can read and command"
 )
 """Warning for a network that is neither encrypted nor closed."""
+LISTS_LINKS = hasattr(zenoh.SessionInfo, "links")
+"""Whether this version of Zenoh lists its links, as it does since 1.9."""
+UNSEEN_LINKS_WARNING = (
+    "this version of Zenoh does not list its links: no warning comes if a program that is no process "
+    "of the swarm connects with the certificate of a host. pip install 'eclipse-zenoh>=1.9'"
+)
+"""Warning for a version of Zenoh that does not list its links."""
 _CLASS_PRIORITIES = {
     MessageClass.ESTOP: zenoh.Priority.REAL_TIME,
     MessageClass.CONTROL: zenoh.Priority.INTERACTIVE_HIGH,
@@ -332,8 +339,11 @@ class ZenohSession:
         return status is not None and bool(status.matching)
 
     def connected_programs(self) -> list[tuple[str | None, str]]:
-        """Return, for each link, the name in the certificate and Zenoh's id of the program."""
-        if self._session is None:
+        """Return, for each link, the name in the certificate and Zenoh's id of the program.
+
+        It is empty if this version of Zenoh does not list its links.
+        """
+        if self._session is None or not LISTS_LINKS:
             return []
         links = self._session.info.links()
         return [(link.auth_identifier, str(link.zid)) for link in links]
@@ -447,6 +457,8 @@ def _report_security(access: NetworkAccess | None, used: list[str]) -> None:
     """
     if access is not None and handshakes.is_reading_output():
         zenoh.init_log_from_env_or(handshakes.ZENOH_LOG_READING.log_levels)
+    if access is not None and not LISTS_LINKS:
+        log.warning("%s", UNSEEN_LINKS_WARNING)
     if access is None and not endpoints.are_local(used):
         log.warning("%s", OPEN_NETWORK_WARNING)
 

@@ -5,6 +5,7 @@ import os
 import pytest
 import zenoh
 
+from crazychoir.bus.network import zenoh_session
 from crazychoir.bus.network.link_counters import LinkCounters
 from crazychoir.bus.network.link_keys import LinkKeys
 from crazychoir.bus.network.zenoh_session import (
@@ -115,3 +116,13 @@ async def test_a_session_that_is_not_open_sends_nothing():
         session.declare_publisher("1-1", MessageClass.ROUNDS)
     await session.close()
     assert session._counters.tokens == 0
+
+
+@pytest.mark.parametrize("lists_links", [True, False])
+def test_a_closed_network_warns_of_a_version_that_does_not_list_its_links(
+    monkeypatch, caplog, lists_links
+):
+    monkeypatch.setattr(zenoh_session, "LISTS_LINKS", lists_links)
+    closed_to_others = object()
+    zenoh_session._report_security(closed_to_others, [])
+    assert ("does not list its links" in caplog.text) == (not lists_links)
