@@ -317,7 +317,8 @@ def test_the_affine_hull_gives_a_point_all_directions_and_the_shares_of_dependen
         E /= np.maximum(np.linalg.norm(E, axis=1), 1.0)[:, None]
         e = E @ draw.normal(size=n)
         hull = AffineHull(E)
-        assert hull.null.shape[1] == n - np.linalg.matrix_rank(E)
+        rank = np.linalg.matrix_rank(E) if E.size else 0
+        assert hull.null.shape[1] == n - rank
         np.testing.assert_allclose(
             hull.null.T @ hull.null, np.eye(hull.null.shape[1]), atol=1e-12
         )
