@@ -1,5 +1,6 @@
 """Checks of a bearing formation before the flight: rigidity, convergence rate and stability."""
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -312,6 +313,27 @@ def compute_equilibrium(
     pulls = b_fl @ np.concatenate([*led.values()])
     p = -splu(b_ff.tocsc()).solve(pulls).reshape(-1, 3)
     return led | dict(zip(followers, p, strict=True))
+
+
+def find_distortion(
+    shape: Shape, neighbors: Neighbors, places: Mapping[int, Vec]
+) -> tuple[float, int, int]:
+    """Return the largest angle between a bearing of the formation and that of the shape, and its drones i, j.
+
+    The angle is in rad, from drone i to its neighbour j. Formations that are moved or scaled have none.
+
+    shape: {id: (3,) m}.
+    neighbors: {id: ids that it hears}.
+    places: {id: (3,) m}, the formation.
+    """
+    angles = []
+    for i, heard in neighbors.items():
+        for j in heard:
+            wanted = np.subtract(shape[j], shape[i])
+            found = places[j] - places[i]
+            sine = float(np.linalg.norm(np.cross(wanted, found)))
+            angles.append((math.atan2(sine, float(wanted @ found)), i, j))
+    return max(angles, default=(0.0, 0, 0))
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """What a bearing formation needs beside its law: options, gains, its own swarms, checks, report."""
 
+import math
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta
@@ -23,6 +24,7 @@ from crazychoir.guidance.formation.bearing import (
     Law,
     check_formation,
     compute_equilibrium,
+    find_distortion,
 )
 from crazychoir.guidance.formation.formation_hooks import FormationHooks, list_neighbors
 from crazychoir.guidance.formation.leader import LeaderOptions
@@ -53,6 +55,8 @@ weak modes turn 1 m/s2 of evasion into metres.
 """
 FORMATION_TOLERANCE = 0.01
 """m: a drone farther from its place at the end of the law has not formed up."""
+DISTORTION_TOLERANCE = math.radians(1.0)
+"""rad: largest angle between bearings of the formation and of the shape without a warning."""
 LawName = Annotated[
     Law, Meta(description='"normalised" or "paper"', examples=["paper"])
 ]
@@ -207,7 +211,21 @@ class BearingHooks(FormationHooks[BearingOptions]):
             force=force,
         )
         super().check(config, force)
-        return list(report.warnings)
+        return [*report.warnings, *self._describe_distortion(config)]
+
+    def _describe_distortion(self, config: SwarmConfig) -> list[str]:
+        """Return a warning if the leaders distort the shape, else nothing."""
+        places = self.goal(config)
+        angle, i, j = find_distortion(
+            self.shape(config), self.neighbors(config), places
+        )
+        if angle <= DISTORTION_TOLERANCE:
+            return []
+        return [
+            f"the formation will not be the shape: seen from drone {i}, drone {j} will be {math.degrees(angle):.1f} "
+            "degrees beside its direction, because the leaders do not stand as in the shape. "
+            "Leaders keep their homes: place these as in the shape, or as in the shape moved or scaled"
+        ]
 
     def _chain(self, config: SwarmConfig) -> AccelerationChain:
         """Return the dynamics between law and drone, for the drone with the slowest rotors."""

@@ -53,6 +53,25 @@ def test_own_swarms_have_their_size_and_may_fly(drones):
     assert HOOKS.check(config) == []
 
 
+@pytest.mark.parametrize(
+    ("move", "is_warned_of"),
+    [
+        (lambda i, home: home + [0.4, -0.2, 0.0], False),
+        (lambda i, home: 1.3 * home, False),
+        (lambda i, home: home + [0.0, 0.3 * (i == 0), 0.0], True),
+    ],
+    ids=["moved", "scaled", "one leader aside"],
+)
+def test_leaders_that_distort_the_shape_are_warned_of(move, is_warned_of):
+    config = HOOKS.swarm(4)
+    drones = [
+        {"id": d.id, "home": move(d.id, np.array(d.home)).tolist(), "leader": d.leader}
+        for d in config.drones
+    ]
+    warnings = HOOKS.check(config.replace(drones=drones))
+    assert any("will not be the shape" in text for text in warnings) is is_warned_of
+
+
 def test_other_sizes_are_refused():
     with pytest.raises(ConfigError, match=r"4 .a square., 11 .a letter. or 30"):
         HOOKS.swarm(5)
