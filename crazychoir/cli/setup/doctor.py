@@ -295,9 +295,9 @@ def _is_here(host: str | None, here: list[str]) -> bool:
 
 
 def _show(rows: list[CheckResult]) -> None:
-    table = Table(
-        "", "what", "found", "how to correct it", box=box.SIMPLE_HEAD, padding=(0, 1)
-    )
+    table = Table("", box=box.SIMPLE_HEAD, padding=(0, 1))
+    for heading in ("what", "found", "how to correct it"):
+        table.add_column(heading, overflow="fold")
     for row in rows:
         colour = STATE_COLOURS[row.state]
         table.add_row(Text(row.state, colour), row.what, row.found, row.mend)
