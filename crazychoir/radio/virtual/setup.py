@@ -151,7 +151,10 @@ def select_from_swarm(
             places.append((drone, (found.host, found.port)))
     if not places:
         uris = ", ".join(sorted({drone.uri for drone in config.drones}))
-        do = 'Write uri = "udp://127.0.0.1:19850" into its [[drones]], each with a port of its own.'
+        do = (
+            'Write uri = "udp://127.0.0.1:19850" into its [[drones]], each with a port of its own; '
+            'or fly a script: crazychoir.api.launch(..., bodies="virtual") does so by itself.'
+        )
         raise ConfigError(
             "virtual Crazyflies: uris of the swarm",
             uris,
