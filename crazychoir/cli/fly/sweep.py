@@ -31,6 +31,8 @@ MOST_SHOWN_GROUPS = 6
 """Largest number of groups of runs that the table of medians shows."""
 LEAST_WHOLE_FIGURE = 1000
 """Figures from here on are shown as whole numbers."""
+PICTURED_FIGURES = ("settling_s", "cost")
+"""Figures that a picture shows if no other is asked for, the first that there is."""
 SEEDS_ALLOWED = "seeds, with commas between, as 1-20 or 3,5-7"
 """What --seeds takes, for errors."""
 
@@ -72,7 +74,7 @@ def sweep(
     figure: Annotated[
         str | None,
         typer.Option(
-            help="Figure that --picture draws, as settling_s; else the first one."
+            help="Figure that --picture draws; else settling_s or cost, or the first one."
         ),
     ] = None,
     file: Annotated[
@@ -99,6 +101,8 @@ def sweep(
         if csv is not None:
             require_writable_file(csv, "--csv", (".csv",), parents=True)
         require_drawable(picture)
+        if figure is not None and picture is None:
+            raise ConfigError("--figure", figure, "a figure for --picture")
         chosen = dict(parse_values(text) for text in values or ())
         table = api.sweep(
             mission,
@@ -159,7 +163,9 @@ def _draw(table: "Table", figure: str | None, path: Path) -> None:
     ]
     varied.sort(key=lambda name: isinstance(table.column(name)[0], str))
     across, by, *_ = [*varied, None, None]
-    shown = table.plot(figure or table.figures[0], across, by)
+    usual = [name for name in PICTURED_FIGURES if name in table.figures]
+    drawn = figure or [*usual, *table.figures][0]
+    shown = table.plot(drawn, across, by)
     save_figure(shown, path)
 
 

@@ -103,6 +103,13 @@ def test_a_picture_shows_a_figure_over_the_input_that_varies(asked, tmp_path):
     assert "Not written: --picture: column: found cost" in done.stderr
 
 
+def test_a_figure_without_a_picture_is_refused_before_anything_flies(asked):
+    done = run("figure", "--figure", "settling_s")
+    assert done.exit_code == 2
+    assert "--figure: found settling_s; allowed: a figure for --picture" in done.stderr
+    assert not asked
+
+
 @pytest.mark.parametrize(
     ("text", "values"),
     [
