@@ -51,6 +51,12 @@ def require_example(name: str) -> Path:
     return file
 
 
+def describe_shipped_file(name: str) -> str:
+    """Return where the file of this name is that comes with the missions; empty if there is none."""
+    file = DATA_FOLDER / name
+    return f"This file comes with the package: {file}." if file.is_file() else ""
+
+
 def suggest_name(name: str, names: list[str]) -> str:
     """Return a question for the name that was meant; empty if none is near."""
     near = get_close_matches(name, names, n=1)

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from crazychoir.errors import ConfigError
+from crazychoir.files.examples import describe_shipped_file
 from crazychoir.types import Mat
 
 READABLE_CSV_TEXT = "a readable CSV file, UTF-8"
@@ -87,7 +88,8 @@ def read_table_text(path: str | Path) -> str:
     try:
         return _decode_text(Path(path).read_bytes())
     except (OSError, ValueError) as error:
-        raise TableError(f"{path}", f"{error}", READABLE_CSV_TEXT) from error
+        do = describe_shipped_file(Path(path).name)
+        raise TableError(f"{path}", f"{error}", READABLE_CSV_TEXT, do) from error
 
 
 def parse_table(

@@ -3,7 +3,12 @@ import itertools
 import numpy as np
 import pytest
 
-from crazychoir.planning.number_table import TableError, parse_table, read_table
+from crazychoir.planning.number_table import (
+    TableError,
+    parse_table,
+    read_table,
+    read_table_text,
+)
 
 COLUMNS = ("t", "x", "y")
 PLAIN = [[0.0, 1.5, -2.0], [0.5, 2.5, 1e-3]]
@@ -107,3 +112,11 @@ def test_a_line_that_says_the_separator_is_followed():
 def test_what_has_no_one_meaning_is_refused_with_its_line(text, complaint):
     with pytest.raises(TableError, match=f"^a.csv.*{complaint}"):
         parse_table(text, "a.csv", COLUMNS)
+
+
+def test_a_missing_file_of_the_package_is_said_to_be_there(tmp_path):
+    with pytest.raises(TableError, match=r"comes with the package: .*figure8\.csv"):
+        read_table_text(tmp_path / "figure8.csv")
+    with pytest.raises(TableError) as caught:
+        read_table_text(tmp_path / "mine.csv")
+    assert "comes with" not in str(caught.value)
