@@ -149,11 +149,9 @@ class Judge:
         now: s
         """
         if verdict.action is not Action.NOMINAL:
-            self._notes.say(
-                f"{verdict.action.name} {verdict.measure}",
-                verdict.reason,
-                verdict.action >= Action.LAND,
-            )
+            rule = f"{verdict.action.name} {verdict.measure}"
+            is_grave = verdict.action >= Action.LAND
+            self._notes.say(rule, verdict.reason, is_grave)
             if self._row.mode is TAKEOFF_MODE and self._rise.is_late(now):
                 self._permission.change(ModeEvent.ARRIVED)
         if verdict.action is self._row.obeyed:
