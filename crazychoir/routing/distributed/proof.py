@@ -318,10 +318,10 @@ class PlanProof:
             found = find_partition(
                 problem, self._i, self._nodes, known, below=self._below
             )
-        is_cut_off = self._below < np.inf and self.best is not None
-        if is_cut_off and found.cost >= self.best.cost:
+        best = self.best
+        if self._below < np.inf and best is not None and found.cost >= best.cost:
             bound = min(found.bound, self._below)
-            found = PartitionResult(self.best.cost, self.best.routes, bound)
+            found = PartitionResult(best.cost, best.routes, bound)
         if found.cost == np.inf and found.bound < np.inf:
             return None
         robots = self._member.place.robots
