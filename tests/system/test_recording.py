@@ -220,7 +220,7 @@ def test_plot_says_and_draws(here, recorded, tmp_path, monkeypatch):
     assert said.json["complete"]
     assert said.json["about"]["mission"] == MISSION
     assert all(Path(file).stat().st_size for file in said.json["files"])
-    assert len(list((tmp_path / "made").iterdir())) == len(said.json["files"]) == 24
+    assert len(list((tmp_path / "made").iterdir())) == len(said.json["files"]) == 25
     monkeypatch.setattr(
         plots, "draw", lambda pictures, folder: list(folder.glob("*.png"))
     )  # they are there already
