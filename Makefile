@@ -20,10 +20,22 @@ unexport PYTHONDONTWRITEBYTECODE
 export PYTHONNOUSERSITE := 1
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
+# The lowest versions that pyproject.toml allows are in an environment of their own, with the tools of these tests.
+# They need Python 3.11 or 3.12: some have no wheel for 3.13. The packages of the dashboard are new ones in any case.
+LOWEST := .venv-lowest
+LOWEST_EXTRAS := foxglove,gym,mocap,mujoco,ros2,tables
+LOWEST_TOOLS := hypothesis mcap-ros2-support pytest pytest-asyncio pytest-timeout pytest-xdist pyusb rosbags
+# A few tests of each room that uses a package.
+LOWEST_TESTS := $(addprefix tests/unit/,numerics control filters bus optimization/problems optimization/assignment \
+	routing/distributed planning/drawing/test_svg.py recording/mcap recording/test_recorder.py \
+	recording/test_video.py radio/link radio/virtual cli/setup/test_import_swarm.py cli/recordings cli/test_main.py \
+	simulation/mujoco api/test_env.py api/test_table.py) $(addprefix tests/system/,test_zenoh_link.py test_security.py \
+	test_missions.py test_virtual_time.py)
+
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .NOTPARALLEL:
-.PHONY: help compile demo test check reference docs bench paper campaign clean
+.PHONY: help compile demo test lowest check reference docs bench paper campaign clean
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -43,6 +55,10 @@ test: $(VENV)/.installed-test compile  ## all tests but the campaigns, with ruff
 		-o cache_dir=.pytest_cache/computing --durations=40 >out/computing.txt 2>&1 & beside=$$!; trap 'kill $$beside; exit 130' INT TERM; \
 	$(BIN)/python -m pytest -v --durations=12 -m "real_time and not slow"; real_time=$$?; \
 	wait $$beside; computing=$$?; cat out/computing.txt; exit $$((real_time | computing))
+
+lowest: $(LOWEST)/.installed  ## a choice of the tests with the lowest versions that pyproject.toml allows
+	$(LOWEST)/bin/python -m pytest -n auto --dist loadfile -W default -m "not (slow or real_time)" $(LOWEST_TESTS)
+	$(LOWEST)/bin/python -m pytest -W default -m "real_time and not slow" $(LOWEST_TESTS)
 
 check: $(VENV)/.installed-test  ## ruff, its layout, mypy --strict and the import contract alone: seconds
 	$(BIN)/ruff check .
@@ -68,7 +84,7 @@ campaign: $(VENV)/.installed-test compile  ## ten thousand seeds of faults in vi
 	$(BIN)/python -m pytest -m slow
 
 clean:  ## remove the environment and all caches; out/ stays
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
+	rm -rf $(VENV) $(LOWEST) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis
 	find agents crazychoir deploy docs tests -name __pycache__ -prune -exec rm -rf {} +
 
 $(VENV)/.created:
@@ -88,3 +104,11 @@ $(VENV)/.installed-%: pyproject.toml $(VENV)/.created
 	@$(PIP_INSTALL) 'pip>=25.1'  # the first one with --group
 	@$(PIP_INSTALL) --editable . --group $*
 	@touch $@ $(VENV)/.installed
+
+$(LOWEST)/.installed: pyproject.toml tests/lowest_versions.py
+	@echo "Installing crazychoir and the lowest versions of its packages into $(LOWEST)"
+	@$(PYTHON) -m venv --clear $(LOWEST)
+	@$(LOWEST)/bin/python tests/lowest_versions.py >$(LOWEST)/constraints.txt
+	@PYTHONWARNINGS='ignore:Editable installation' $(LOWEST)/bin/python -m pip install --quiet \
+		--constraint $(LOWEST)/constraints.txt --editable '.[$(LOWEST_EXTRAS)]' $(LOWEST_TOOLS)
+	@touch $@

@@ -8,6 +8,7 @@ from functools import cache
 from importlib.metadata import packages_distributions
 
 import pytest
+from lowest_versions import constrain, lowest_versions
 
 ROOMS = {
     "dashboard": ("crazychoir/dashboard/",),
@@ -170,3 +171,13 @@ def ours(repository):
 def test_an_import_is_found_wherever_it_stands():
     text = "import a.b\ndef f():\n    from c import d\n    importlib.import_module('e.f')\nfrom . import g\n"
     assert set(imported(text)) == {"a.b", "c", "e.f"}
+
+
+def test_each_package_of_users_has_a_lowest_version(declared):
+    users = set().union(*(declared[extra] for extra in declared.keys() - {"bench"}))
+    assert {name_of(constraint) for constraint in lowest_versions()} == users
+
+
+def test_a_requirement_without_a_lower_bound_is_refused():
+    with pytest.raises(ValueError, match="numpy<3: allowed: a lower bound"):
+        constrain("numpy<3")

@@ -22,7 +22,10 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 GITHUB = "https://github.com/crazychoir/crazychoir"
-MADE = {"__pycache__", "build", "dist", "keys", "out", ".venv", ".git", ".hypothesis"}
+MADE = {
+    *("__pycache__", "build", "dist", "keys", "out"),
+    *(".venv", ".venv-lowest", ".git", ".hypothesis"),
+}
 """Folders that programs make in a clone; those of caches end in _cache or .egg-info."""
 NOT_COPIED = shutil.ignore_patterns(*MADE, "*_cache", "*.egg-info")
 LINK = "crazychoir/agents"
