@@ -56,9 +56,9 @@ def test_own_swarms_have_their_size_and_may_fly(drones):
 @pytest.mark.parametrize(
     ("move", "is_warned_of"),
     [
-        (lambda i, home: home + [0.4, -0.2, 0.0], False),
+        (lambda i, home: home + np.array([0.4, -0.2, 0.0]), False),
         (lambda i, home: 1.3 * home, False),
-        (lambda i, home: home + [0.0, 0.3 * (i == 0), 0.0], True),
+        (lambda i, home: home + np.array([0.0, 0.3 * (i == 0), 0.0]), True),
     ],
     ids=["moved", "scaled", "one leader aside"],
 )
