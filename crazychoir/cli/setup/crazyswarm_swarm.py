@@ -77,6 +77,10 @@ LOG_RATES = (0.4, 100.0)
 """Hz: slowest and fastest rate of [[logs]]."""
 
 
+IMPORTED_MISSION = "operator"
+"""Mission of an imported swarm: drones obey an operator, as those of Crazyswarm2 obey a script."""
+
+
 @dataclass(frozen=True)
 class SourceFiles:
     """The files of Crazyswarm2."""
@@ -116,7 +120,8 @@ class ImportedSwarm:
         """Return the text of the swarm file, with the remarks as comments at its end."""
         blocks = [
             f"# From {files.robots.name} of Crazyswarm2, by `crazychoir import`.\n"
-            f"name = {write_value(self.name)}"
+            f"name = {write_value(self.name)}\n"
+            f"mission = {write_value(IMPORTED_MISSION)}  # obeys a script, the terminal or the page"
         ]
         tables = {
             "[fence]": self.fence,

@@ -96,34 +96,34 @@ def check_swarm(swarm: str | None, host: str | None) -> list[CheckResult]:
         ]
     rows = [
         CheckResult("swarm file", "ok", f"{which}: {len(config.ids)} drone(s)"),
-        check_mission(config),
+        *check_mission(config),
     ]
     return rows + find_missing_files(config) + check_network(config, host)
 
 
-def check_mission(config: "SwarmConfig") -> CheckResult:
-    """Return the check that the mission can be loaded."""
+def check_mission(config: "SwarmConfig") -> list[CheckResult]:
+    """Return the checks that the mission can be loaded and flown, and a warning for each of its own."""
     from crazychoir.errors import CrazyChoirError
-    from crazychoir.guidance.mission import load_mission
+    from crazychoir.guidance.mission import check_before_flight, load_mission
 
     if config.mission is None:
-        return CheckResult(
-            "mission",
-            "warning",
-            "none",
-            'Write mission = "..." into the swarm file, or give --mission.',
-        )
+        do = 'Write mission = "..." into the swarm file, or give --mission.'
+        return [CheckResult("mission", "warning", "none", do)]
+    do = "Copy it here beside the swarm file: crazychoir push"
     try:
         with redirect_prints():
-            load_mission(config.mission)
+            mission = load_mission(config.mission)
+            do = "Correct it as the text says."
+            warnings = check_before_flight(mission, config)
     except CrazyChoirError as error:
-        return CheckResult(
-            "mission",
-            "wrong",
-            str(error),
-            "Copy it here beside the swarm file: crazychoir push",
-        )
-    return CheckResult("mission", "ok", config.mission)
+        return [CheckResult("mission", "wrong", str(error), do)]
+    return [
+        CheckResult("mission", "ok", config.mission),
+        *(
+            CheckResult("flight", "warning", text, "Correct it as the text says.")
+            for text in warnings
+        ),
+    ]
 
 
 def find_missing_files(config: "SwarmConfig") -> list[CheckResult]:

@@ -5,6 +5,7 @@ import json
 import socket
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -51,7 +52,7 @@ def free():
         return other.getsockname()[1]
 
 
-def lab(folder, port, mission="goto", far="127.0.0.1", expired=False, monkeypatch=None):
+def lab(folder, port, mission="operator", far="127.0.0.1", expired=False, monkeypatch=None):
     """A swarm file of two hosts with keys."""
     real = authority.date_and_time
     if expired:
@@ -185,6 +186,19 @@ def test_a_mission_that_is_not_there_is_named(tmp_path, free):
     row = rows_of(lab(tmp_path, free, mission="nowhere.py"))["mission"]
     assert row.state == "wrong"
     assert "nowhere.py" in row.found
+
+
+def test_a_mission_that_cannot_be_flown_is_named_with_the_reason(tmp_path, free):
+    row = rows_of(lab(tmp_path, free, mission="goto"))["mission"]
+    assert row.state == "wrong"
+    assert "drones: found 2; allowed: 4, or mission_options.goals" in row.found
+
+
+def test_what_a_run_would_warn_of_is_a_warning_too(tmp_path):
+    file = Path(__file__).parents[4] / "deploy/original_letter.toml"
+    (row,) = (r for r in doctor.check_swarm(str(file), None) if r.what == "flight")
+    assert row.state == "warning"
+    assert "the formation will not be the shape" in row.found
 
 
 def test_a_swarm_file_that_is_not_there_is_named(tmp_path):

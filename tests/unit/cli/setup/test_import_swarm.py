@@ -9,6 +9,7 @@ from crazychoir.cli.main import app
 from crazychoir.cli.setup.crazyswarm_swarm import SourceFiles, import_swarm
 from crazychoir.config.swarm_config import SwarmConfig
 from crazychoir.errors import ConfigError
+from crazychoir.guidance.mission import load_mission
 
 FOLDER = Path(__file__).parents[3] / "data" / "crazyswarm2"
 FILES = SourceFiles(
@@ -158,7 +159,9 @@ def test_the_command_writes_the_file_and_says_what_remains_to_do(tmp_path):
     told = CliRunner().invoke(app, ["import", str(FILES.robots), "-o", str(out)])
     assert told.exit_code == 0
     assert "3 drones, 2 of them enabled" in told.output
-    assert SwarmConfig.load(out).name == "lab"
+    written = SwarmConfig.load(out)
+    assert (written.name, written.mission) == ("lab", "operator")
+    load_mission("operator").check(written)
     same = tmp_path / "crazyflies.yaml"
     same.write_text(ROBOTS.replace("[1, 0, 0]", "[0, 0, 0]"))
     told = CliRunner().invoke(app, ["import", str(same), "-o", str(out)])
