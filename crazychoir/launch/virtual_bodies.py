@@ -4,6 +4,7 @@ The firmware reports a drone that lies on its back, but not a hard fall after wh
 """
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 from crazychoir.agent.mission_result import result_of_failure
@@ -12,44 +13,50 @@ from crazychoir.config.uris import UDP_SCHEME, canonical_uri
 from crazychoir.errors import Refused
 from crazychoir.radio.virtual.control import ask_server
 
+NO_CRASHES: Mapping[int, str] = MappingProxyType({})
+"""No drone has crashed."""
+
 
 class VirtualBodies:
     """Compares the virtual Crazyflies of a run with how they were before it.
 
     A swarm without virtual cameras, or without an answer of their server, has no bodies.
+    The server forgets earlier falls of these drones: it keeps the fastest one alone.
 
     config: the swarm
     """
 
     def __init__(self, config: SwarmConfig) -> None:
         self._config = config
-        self._impacts = {i: row["impact"] for i, row in self._ask().items()}
+        names = ",".join(name for name, _ in self._list_rows().values())
+        if names:
+            self._ask({"faults": {names: {"mend": 1}}})
 
-    def _ask(self) -> Mapping[int, dict[str, Any]]:
-        """Return what the server says of each drone of the swarm."""
+    def _list_rows(self) -> dict[int, tuple[str, dict[str, Any]]]:
+        """Return the server's name of each drone of the swarm, and what it says of it."""
         uris = {canonical_uri(drone.uri): drone.id for drone in self._config.drones}
+        answer = self._ask({"ask": "state"})
+        found = {
+            canonical_uri(f"{UDP_SCHEME}{row['at'][0]}:{row['at'][1]}"): (name, row)
+            for name, row in answer.get("drones", {}).items()
+        }
+        return {uris[uri]: row for uri, row in found.items() if uri in uris}
+
+    def _ask(self, question: dict[str, Any]) -> dict[str, Any]:
+        """Return the server's answer; an empty one without virtual cameras or a server."""
         mocap = self._config.mocap
         if mocap.source != "virtual" or not self._config.topology.reached:
             return {}
         try:
-            answer = ask_server({"ask": "state"}, mocap.hostname, mocap.port)
+            return ask_server(question, mocap.hostname, mocap.port)
         except (OSError, Refused):
             return {}
-        rows = {
-            canonical_uri(f"{UDP_SCHEME}{row['at'][0]}:{row['at'][1]}"): row
-            for row in answer["drones"].values()
-        }
-        return {uris[uri]: row for uri, row in rows.items() if uri in uris}
 
     def find_crashes(self) -> dict[int, str]:
-        """Return what has broken each drone since the beginning, or that it lies on its side.
-
-        The speed of its fastest hit changes with a faster one, or begins anew where the drone is put
-        elsewhere or started again.
-        """
+        """Return what has broken each drone since the beginning, or that it lies on its side."""
         crashes = {}
-        for i, row in self._ask().items():
-            if row["crashed"] and row["impact"] != self._impacts.get(i, 0.0):
+        for i, (_, row) in self._list_rows().items():
+            if row["crashed"]:
                 crashes[i] = str(row["crashed"])
             elif row["tumbled"]:
                 crashes[i] = "tumbled: it lies on its side or its back"
@@ -61,12 +68,16 @@ def add_crashes(
 ) -> dict[int, dict[str, Any]]:
     """Return the results of the drones, without success where a drone has crashed."""
     merged = dict(results)
-    for i, text in crashes.items():
-        own = results.get(i)
-        if own is None:
-            continue
+    for i, own in results.items():
         said = str(own.get("reason") or "")
+        text = crashes.get(i, "")
         if text not in said:
-            reason = f"{said}; {text}" if said else f"drone {i}: {text}"
-            merged[i] = result_of_failure(reason, own)
+            merged[i] = result_of_failure(
+                join_reasons(said, text) if said else f"drone {i}: {text}", own
+            )
     return merged
+
+
+def join_reasons(*texts: str) -> str:
+    """Return the texts that are not empty as one."""
+    return "; ".join(text for text in texts if text)

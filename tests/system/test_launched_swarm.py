@@ -27,6 +27,14 @@ def test_script_launches_a_swarm_flies_it_and_reads_its_track(tmp_path):
     assert end == pytest.approx([0.6, 0.3, 0.0], abs=0.1)
 
 
+def test_a_virtual_drone_that_falls_is_a_failure_of_the_run():
+    with launch("operator", drones=1, bodies="virtual") as swarm:
+        swarm.take_off(height=0.6, duration=1.5)
+        swarm.stop()
+    assert not swarm.result["success"]
+    assert "crashed: hit the floor" in swarm.result["reasons"]["0"]
+
+
 def test_hello_world_of_the_page_from_crazyswarm2_takes_off_and_lands(
     tmp_path, monkeypatch
 ):

@@ -112,6 +112,9 @@ class FaultControl:
         elif name == "home":
             if value:
                 self.carry_home(i)
+        elif name == "mend":
+            if value:
+                self._world.forget_fall(i)
         elif name == "swap":
             self._swap(i, int(value))
         else:

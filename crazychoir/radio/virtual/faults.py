@@ -70,6 +70,7 @@ FAULT_SETTINGS = {
     "motor": FaultSetting(0, 4, "the motor that stands still, 0: none", whole=True),
     "home": _switch("1 carries it home, charged and whole, and stands it there, once"),
     "reboot": _switch("1 restarts it where it lies, once"),
+    "mend": _switch("1 forgets its fastest fall, once"),
     "deck_lost": _switch("its deck does not see the lighthouses"),
     "pose_lost": _switch("the cameras do not see it"),
     "offset": FaultSetting(

@@ -61,6 +61,7 @@ from crazychoir.simulation.motor_level.lanes import (
     BATTERY_CHARGE,
     ROTOR_THRUST_1,
     AIRBORNE_FLAG,
+    IMPACT_SPEED,
     GYROSCOPE_X,
     GYROSCOPE_Y,
     GYROSCOPE_Z,
@@ -347,6 +348,12 @@ class MotorWorld(Truth):
         """Give drone i another battery with this charge, 0 to 1."""
         block, lane = divmod(self.row[i], LANE_COUNT)
         self._blocks[block, BATTERY_CHARGE + lane] = charge
+
+    def forget_fall(self, i: int) -> None:
+        """Forget the fastest touch-down of drone i."""
+        block, lane = divmod(self.row[i], LANE_COUNT)
+        self._blocks[block, IMPACT_SPEED + lane] = 0.0
+        self.impact[self.row[i]] = 0.0
 
     def restore(self, i: int) -> None:
         """Put drone i back to its start, in its initial condition; the others fly on."""

@@ -19,7 +19,7 @@ def swarm(source="virtual"):
 def body(port, impact=0.0, tumbled=False):
     crashed = f"crashed: hit the floor at {impact:.2f} m/s" if impact > 1.0 else ""
     at = ["127.0.0.1", port]
-    return {"at": at, "impact": impact, "crashed": crashed, "tumbled": tumbled}
+    return {"at": at, "crashed": crashed, "tumbled": tumbled}
 
 
 @pytest.fixture
@@ -28,9 +28,13 @@ def server(monkeypatch):
     drones = {}
 
     def ask(question, host, port):
-        assert (question, host, port) == ({"ask": "state"}, "127.0.0.1", 19840)
+        assert (host, port) == ("127.0.0.1", 19840)
         if not drones:
             raise Refused("server", "no answer")
+        for names, faults in question.get("faults", {}).items():
+            assert faults == {"mend": 1}
+            for name in names.split(","):
+                drones[name] |= {"crashed": ""}
         return {"drones": drones}
 
     monkeypatch.setattr("crazychoir.launch.virtual_bodies.ask_server", ask)
@@ -41,12 +45,17 @@ def test_a_fall_in_the_run_is_found_and_one_before_it_is_not(server):
     server |= {"0": body(19851), "1": body(19852, 3.0), "2": body(19853, 3.0)}
     bodies = VirtualBodies(swarm())
     server["0"] = body(19851, 2.5)
-    slower_after_it_was_put_home = body(19853, 2.8)
-    server["2"] = slower_after_it_was_put_home
+    server["2"] = body(19853, 2.8)
     assert bodies.find_crashes() == {
         1: "crashed: hit the floor at 2.50 m/s",
         3: "crashed: hit the floor at 2.80 m/s",
     }
+
+
+def test_falls_of_drones_of_another_swarm_are_not_forgotten(server):
+    server |= {"0": body(19851, 3.0), "7": body(19870, 3.0)}
+    VirtualBodies(swarm())
+    assert server["7"]["crashed"]
 
 
 def test_a_drone_that_lies_overturned_is_found(server):

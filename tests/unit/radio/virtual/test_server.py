@@ -207,6 +207,20 @@ async def test_a_fallen_drone_is_carried_home_and_flies_again():
         assert hall.height(0) == pytest.approx(0.6, abs=0.1)
 
 
+async def test_a_fall_can_be_forgotten_and_the_next_one_is_seen():
+    async with Open(2) as hall:
+        for _ in range(2):
+            _in_the_air(hall)
+            await hall.asked({"faults": {"1": {"off": 1}}})
+            hall.run(1.5)
+            await hall.asked({"faults": {"1": {"off": 0, "reboot": 1}}})
+            hall.run(1e-3 * BOOT_TIME + 0.5)
+            assert "hit the floor" in hall.server.questions.describe_drone(1)["crashed"]
+            await hall.asked({"faults": {"1": {"mend": 1}}})
+            hall.run(0.1)
+            assert hall.server.questions.describe_drone(1)["impact"] == 0.0
+
+
 def _in_the_air(hall):
     for drone in range(hall.n):
         hall.take_off(drone)
@@ -365,7 +379,7 @@ def test_what_a_battery_may_have_is_said_before_it_is_refused():
 
 
 def test_each_fault_that_can_be_set_is_one_of_a_drone():
-    assert set(FAULT_SETTINGS) == {*Faults().listed(), "home", "reboot"}
+    assert set(FAULT_SETTINGS) == {*Faults().listed(), "home", "reboot", "mend"}
     assert check_faults({"offset": [1, 2, 3]}, [0]) == {"offset": (1.0, 2.0, 3.0)}
 
 
