@@ -284,6 +284,37 @@ async def test_a_take_off_that_has_waited_for_other_drones_goes_on_after_a_brake
 
 
 @virtual
+async def test_a_take_off_that_was_braked_keeps_its_own_height_and_its_time(clock):
+    drone = Flown(clock)
+    await drone.fly(0.05)
+    drone.pilot.take_off(height=0.5, duration=6.0)
+    await drone.fly(1.0)
+    await drone.fly(0.15, poses=False)
+    await drone.fly(3.0)
+    assert drone.pilot.mode is Mode.TAKEOFF, "5 s of it were left"
+    await drone.fly(4.0)
+    assert drone.pilot.mode is Mode.HOVER
+    assert drone.p[2] == pytest.approx(0.5, abs=0.02)
+
+
+@virtual
+async def test_brakes_of_an_earlier_take_off_do_not_count(clock):
+    drone = Flown(clock)
+    await drone.fly(0.05)
+    for _ in range(2):
+        assert drone.pilot.take_off(duration=6.0) > 0.0, drone.pilot.notes.text
+        for _ in range(4):
+            await drone.fly(0.7)
+            await drone.fly(0.15, poses=False)
+        assert drone.pilot.mode is Mode.TAKEOFF
+        await drone.fly(8.0)
+        height = FlightTable().takeoff_height
+        assert drone.p[2] == pytest.approx(height, abs=0.02)
+        await drone.fly(drone.pilot.land() + 1.0)
+        assert drone.pilot.mode is Mode.GROUND
+
+
+@virtual
 async def test_a_take_off_from_outside_the_fence_rises_where_it_was_braked_inside(
     clock,
 ):
