@@ -103,8 +103,13 @@ class DroneOrders:
         if not self.window.is_there(i):
             return self._receipt(i, verb, "absent", self._explain_absence(i))
         accepted = asyncio.Event()
+
+        def accept() -> None:
+            self._ends.pop(i, None)  # the result was one of an earlier agent
+            accepted.set()
+
         task = asyncio.ensure_future(
-            self.window.order_one(i, verb, seconds, arguments, accepted.set)
+            self.window.order_one(i, verb, seconds, arguments, accept)
         )
         if not wait:
             await self._wait_until_accepted(task, accepted)
@@ -118,7 +123,7 @@ class DroneOrders:
             task.cancel()
         if not done:
             return self._receipt(i, verb, answer, reason)
-        self._ends.pop(i, None)  # an earlier agent of the drone
+        accept()
         return None
 
     async def _wait_until_accepted(

@@ -12,11 +12,15 @@ from crazychoir.types import State, Status
 
 
 class HearingWindow:
-    """A window on drone 0, without an agent; `hear` gives it a state with an age, `report` a status, `end` a result."""
+    """A window on drone 0, with an agent that obeys or with none.
+
+    `hear` gives it a state with an age, `report` a status, `end` a result.
+    """
 
     def __init__(self, clock):
         self.clock = clock
         self.config = SimpleNamespace(ids=(0,))
+        self.obeys = False
 
     def read(self, topic, i, function, rate=None):
         names = {"state": "hear", "status": "report", "result": "end"}
@@ -26,7 +30,12 @@ class HearingWindow:
         pass
 
     def is_there(self, i):
-        return False
+        return self.obeys
+
+    async def order_one(self, i, verb, seconds, arguments, accept):
+        accept()
+        await self.clock.sleep(1.0)
+        return True, ("done", "")
 
 
 @virtual
@@ -62,3 +71,17 @@ async def test_a_command_after_the_end_of_a_flight_says_why_it_ended(clock):
     match = "drone 0: go-to absent: its flight is over: seen on the floor"
     with pytest.raises(OrderFailed, match=match):
         await orders.give("go-to", {0: {}}, 5.0, True)
+
+
+@virtual
+async def test_the_end_of_an_earlier_flight_is_no_reason_once_the_drone_obeys(clock):
+    for waits in (True, False):
+        window = HearingWindow(clock)
+        orders = DroneOrders(window)
+        window.end({"success": False, "reason": "drone 0: seen on the floor"}, 0.0)
+        window.obeys = True
+        await orders.give("take-off", {0: {}}, 5.0, waits)
+        window.obeys = False
+        with pytest.raises(OrderFailed, match="drone 0: go-to absent: ") as failed:
+            await orders.give("go-to", {0: {}}, 5.0, True)
+        assert "seen on the floor" not in str(failed.value)
