@@ -42,6 +42,18 @@ def test_an_interrupted_sweep_goes_on(tmp_path, cut):
     assert path.read_bytes() == whole(tmp_path / "b.jsonl")
 
 
+def test_a_sweep_that_is_interrupted_twice_keeps_what_ran_between(tmp_path):
+    path = tmp_path / "a.jsonl"
+    with SweepFile(path, MISSION, RUNS) as file:
+        file.add("c", row("c"))
+        file.add("a", row("a"))
+    path.write_bytes(path.read_bytes()[:-5])
+    with SweepFile(path, MISSION, RUNS) as file:
+        file.add("b", row("b"))
+    with SweepFile(path, MISSION, RUNS) as file:
+        assert list(file.rows) == ["c", "b"]
+
+
 def test_a_first_line_that_was_cut_is_no_fault(tmp_path):
     path = tmp_path / "a.jsonl"
     path.write_text('{"key": "a", "va')
