@@ -9,6 +9,7 @@ from scipy.spatial.distance import pdist
 
 from crazychoir.bus.topics import DRONE_TOPICS
 from crazychoir.config.swarm_config import SwarmConfig
+from crazychoir.control.choice import FIRMWARE_GAIN_SENDERS
 from crazychoir.errors import ConfigError
 from crazychoir.recording.mcap.odometry import rotate_to_world
 from crazychoir.recording.mcap.reading import RecordedValues, Recording
@@ -192,9 +193,10 @@ def recorded_flight(recording: Recording) -> RecordedFlight:
 
 
 def _find_kept_distance(recording: Recording) -> float | None:
-    """Return the distance that the filter of the recorded swarm keeps; None without a filter.
+    """Return the distance in m that the recorded drones keep; None if nothing keeps them apart.
 
-        d = 2 s_x + margin
+        d = 2 s_x + margin          the filter
+        d = 2 s_x + margin + slack  drones that agree on paths, if all do
 
     s_x: first semi-axis of the ellipsoid around each drone
     """
@@ -202,12 +204,15 @@ def _find_kept_distance(recording: Recording) -> float | None:
         return None
     where = f"{recording.path}: swarm.json"
     try:
-        collision = SwarmConfig.loads(recording.swarm, where).collision
+        config = SwarmConfig.loads(recording.swarm, where)
     except ConfigError:
         return None  # a swarm of another version
+    collision = config.collision
     if collision.method == "off":
         return None
-    return 2.0 * collision.semi_axes[0] + collision.margin
+    senders = {config.control_of(i).sender for i in config.ids}
+    slack = collision.slack if senders <= {*FIRMWARE_GAIN_SENDERS} else 0.0
+    return 2.0 * collision.semi_axes[0] + collision.margin + slack
 
 
 def interpolate_track(t: Vec, x: Mat, at: Vec) -> Mat:

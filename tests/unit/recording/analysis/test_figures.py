@@ -274,6 +274,9 @@ def test_the_distance_that_the_filter_keeps_is_drawn(tmp_path):
         [SWARM_LIMITS.touching_distance, 0.4]
     )
     assert "kept side by side: 0.4 m" in [text.get_text() for text in axes.texts]
+    agreed = {"collision": collision | {"slack": 0.05}, "control": {"sender": "xyz"}}
+    found.swarm = SwarmConfig.of(swarm | agreed).dumps()
+    assert recorded_flight(found).kept_distance == pytest.approx(0.45)
     off = collision | {"method": "off"}
     found.swarm = SwarmConfig.of(swarm | {"collision": off}).dumps()
     assert recorded_flight(found).kept_distance is None
