@@ -5,6 +5,7 @@ stand above the first table.
 """
 
 import difflib
+import inspect
 import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, get_args, get_origin
@@ -109,7 +110,7 @@ def key_names(kind: Kind) -> list[str]:
 
 def list_fields(kind: Kind) -> list[FieldInfo]:
     """Return the fields of a table: its own, then the fields that it shares with another table."""
-    own = vars(kind).get("__annotations__", {})
+    own = inspect.get_annotations(kind)
     fields = msgspec.structs.fields(kind)
     return sorted(fields, key=lambda entry: entry.name not in own)
 

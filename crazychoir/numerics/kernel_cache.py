@@ -687,6 +687,9 @@ def _describe_value_for_digest(value: Any) -> Any:
             getattr(value, "_fields", ()),
             [_describe_value_for_digest(v) for v in value],
         )
+    if isinstance(value, slice):
+        ends = value.start, value.stop, value.step
+        return "slice", [_describe_value_for_digest(end) for end in ends]
     if isinstance(value, EnumType):
         members: Mapping[str, Any] = value.__members__
         described = [

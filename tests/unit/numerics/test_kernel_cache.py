@@ -195,6 +195,11 @@ def test_through_modules():
     assert digest(source, made=module(2.0)) != digest(source, made=module(3.0))
 
 
+def test_slices_among_the_constants_count():
+    whole, half = (digest(NAMES, K=part) for part in (slice(None), slice(None, 3)))
+    assert whole != half
+
+
 @pytest.mark.parametrize(
     "unknown", [object(), [1.0], types.ModuleType("m"), lambda x: x, np.array([{}])]
 )
