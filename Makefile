@@ -39,7 +39,7 @@ LOWEST_TESTS := $(addprefix tests/unit/,numerics control filters bus optimizatio
 
 help:  ## this list
 	@awk -F ':.*## ' '/^[a-z]+:.*## / {printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
-	@echo "  PYTHON=python3.13 chooses the interpreter of $(VENV) (3.11 to 3.13); now: $(PYTHON)"
+	@echo "  PYTHON=python3.13 chooses the interpreter of $(VENV) (3.11 to 3.14); now: $(PYTHON)"
 
 compile: $(VENV)/.installed  ## compile all laws, once: a minute or two
 	@$(BIN)/crazychoir compile
@@ -88,8 +88,8 @@ clean:  ## remove the environment and all caches; out/ stays
 	find agents crazychoir deploy docs tests -name __pycache__ -prune -exec rm -rf {} +
 
 $(VENV)/.created:
-	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))' || \
-		{ echo "$$($(PYTHON) --version 2>&1) ($(PYTHON)): allowed: Python 3.11 to 3.13. Try: make PYTHON=python3.13"; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 15))' || \
+		{ echo "$$($(PYTHON) --version 2>&1) ($(PYTHON)): allowed: Python 3.11 to 3.14. Try: make PYTHON=python3.13"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	@$(PIP_INSTALL) --upgrade pip
 	@touch $@

@@ -16,6 +16,8 @@ from crazychoir.launch.console import ANSWER_CONSOLE, redirect_prints, write_jso
 if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
 
+CORRECT = "Correct it as the text says."
+"""What to do about a fault or a warning that names it."""
 STATE_COLOURS = {
     "ok": "green",
     "warning": "yellow",
@@ -109,20 +111,20 @@ def check_mission(config: "SwarmConfig") -> list[CheckResult]:
     if config.mission is None:
         do = 'Write mission = "..." into the swarm file, or give --mission.'
         return [CheckResult("mission", "warning", "none", do)]
-    do = "Copy it here beside the swarm file: crazychoir push"
     try:
         with redirect_prints():
-            mission = load_mission(config.mission)
-            do = "Correct it as the text says."
-            warnings = check_before_flight(mission, config)
+            warnings = check_before_flight(load_mission(config.mission), config)
     except CrazyChoirError as error:
+        is_lost = config.mission.endswith(".py") and not Path(config.mission).is_file()
+        do = (
+            "Copy it here beside the swarm file: crazychoir push"
+            if is_lost
+            else CORRECT
+        )
         return [CheckResult("mission", "wrong", str(error), do)]
     return [
         CheckResult("mission", "ok", config.mission),
-        *(
-            CheckResult("flight", "warning", text, "Correct it as the text says.")
-            for text in warnings
-        ),
+        *(CheckResult("flight", "warning", text, CORRECT) for text in warnings),
     ]
 
 

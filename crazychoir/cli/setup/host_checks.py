@@ -12,7 +12,7 @@ State = Literal["ok", "warning", "wrong", "not here"]
 class HostRequirements:
     """What a host needs for a flight."""
 
-    python_versions: tuple[tuple[int, ...], ...] = ((3, 11), (3, 14))
+    python_versions: tuple[tuple[int, ...], ...] = ((3, 11), (3, 15))
     """First supported version of Python, and the first version that is not supported any more.
     """
     process_memory: float = 300.0

@@ -52,7 +52,9 @@ def free():
         return other.getsockname()[1]
 
 
-def lab(folder, port, mission="operator", far="127.0.0.1", expired=False, monkeypatch=None):
+def lab(
+    folder, port, mission="operator", far="127.0.0.1", expired=False, monkeypatch=None
+):
     """A swarm file of two hosts with keys."""
     real = authority.date_and_time
     if expired:
@@ -185,6 +187,7 @@ def test_a_governor_that_saves_power_is_named(tmp_path):
 def test_a_mission_that_is_not_there_is_named(tmp_path, free):
     row = rows_of(lab(tmp_path, free, mission="nowhere.py"))["mission"]
     assert row.state == "wrong"
+    assert "crazychoir push" in row.mend
     assert "nowhere.py" in row.found
 
 
@@ -192,6 +195,13 @@ def test_a_mission_that_cannot_be_flown_is_named_with_the_reason(tmp_path, free)
     row = rows_of(lab(tmp_path, free, mission="goto"))["mission"]
     assert row.state == "wrong"
     assert "drones: found 2; allowed: 4, or mission_options.goals" in row.found
+
+
+def test_a_mission_file_with_a_fault_is_to_be_corrected(tmp_path, free):
+    (tmp_path / "own.py").write_text("def guidance(")
+    row = rows_of(lab(tmp_path, free, mission=str(tmp_path / "own.py")))["mission"]
+    assert row.state == "wrong"
+    assert row.mend == "Correct it as the text says."
 
 
 def test_what_a_run_would_warn_of_is_a_warning_too(tmp_path):
@@ -222,10 +232,10 @@ def test_packages_and_python_that_are_too_old_are_named():
     assert rows[0].mend == "pip install 'eclipse-zenoh>=1.10'"
     assert (
         host_checks.check_python((3, 10, 2)).state
-        == host_checks.check_python((3, 14, 0)).state
+        == host_checks.check_python((3, 15, 0)).state
         == "wrong"
     )
-    assert host_checks.check_python((3, 13, 9)).state == "ok"
+    assert host_checks.check_python((3, 14, 9)).state == "ok"
 
 
 def test_radios_are_those_of_the_usb_with_their_rights(tmp_path):
