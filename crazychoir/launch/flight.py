@@ -26,10 +26,9 @@ from crazychoir.launch.flight_observer import FlightScore, Watch, list_goals
 from crazychoir.launch.network import make_observer_link, run_attached
 from crazychoir.launch.processes import WORLD_OWNER, Owner, SwarmLauncher, run_children
 from crazychoir.launch.virtual_bodies import (
-    NO_CRASHES,
     VirtualBodies,
     add_crashes,
-    join_reasons,
+    explain_absent,
 )
 from crazychoir.mocap.system import MOCAP_EXTRA, MOCAP_LIBRARY
 from crazychoir.recording.mcap.file import RecordingFile
@@ -217,11 +216,11 @@ def fly_real(
                 list_owners(config, started),
             )
         crashes = bodies.find_crashes()
+        results = add_crashes(results, crashes)
         ready = began if score.go_at is None else score.go_at
         wall = clock.now() - ready
-        flown = summarise_flight(
-            config, mission, results, score, wall, wall, started, crashes
-        )
+        flown = summarise_flight(config, mission, results, score, wall, wall, started)
+        explain_absent(flown, crashes)
         flown["startup_s"] = ready - began
         return flown | {"recording": _end_recording(recorder, flown)}
 
@@ -237,7 +236,6 @@ def summarise_flight(
     simulated: float,
     wall: float,
     started: tuple[int, ...] | None = None,
-    crashes: Mapping[int, str] = NO_CRASHES,
 ) -> dict[str, Any]:
     """Return the object that `run --json` prints: the figures of the run and the mission's report.
 
@@ -249,11 +247,9 @@ def summarise_flight(
     wall: s on the wall clock; in real time since GO, without `startup_s`, the time in which the
         processes start and laws may be compiled
     started: drones that were started here, None for all; the success depends on these
-    crashes: what has broken drones that their agents do not know of
     The mission's own report needs the results of all drones. It is left out if some are missing.
     """
     started = config.ids if started is None else started
-    results = add_crashes(results, crashes)
     ended = {i: r[ENDED_KEY] for i, r in sorted(results.items()) if ENDED_KEY in r}
     report = (
         mission.report(config, mark_operator_ends(results))
@@ -275,7 +271,7 @@ def summarise_flight(
         i: reason_or(text, MISSION_REASONS.unsaid) for i, text in (off | failed).items()
     }
     reasons = {i: "; ".join([text, *held.get(i, [])]) for i, text in told.items()}
-    reasons |= {i: join_reasons(NO_RESULT, crashes.get(i, "")) for i in absent}
+    reasons |= dict.fromkeys(absent, NO_RESULT)
     if not (reached or reasons):
         said = reason_or(said, NO_REASONS)
     reasons |= {

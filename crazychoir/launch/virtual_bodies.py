@@ -4,7 +4,6 @@ The firmware reports a drone that lies on its back, but not a hard fall after wh
 """
 
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 from crazychoir.agent.mission_result import result_of_failure
@@ -13,12 +12,9 @@ from crazychoir.config.uris import UDP_SCHEME, canonical_uri
 from crazychoir.errors import Refused
 from crazychoir.radio.virtual.control import ask_server
 
-NO_CRASHES: Mapping[int, str] = MappingProxyType({})
-"""No drone has crashed."""
-
 
 class VirtualBodies:
-    """Compares the virtual Crazyflies of a run with how they were before it.
+    """Finds the falls of virtual Crazyflies in a run.
 
     A swarm without virtual cameras, or without an answer of their server, has no bodies.
     The server forgets earlier falls of these drones: it keeps the fastest one alone.
@@ -73,11 +69,16 @@ def add_crashes(
         text = crashes.get(i, "")
         if text not in said:
             merged[i] = result_of_failure(
-                join_reasons(said, text) if said else f"drone {i}: {text}", own
+                f"{said}; {text}" if said else f"drone {i}: {text}", own
             )
     return merged
 
 
-def join_reasons(*texts: str) -> str:
-    """Return the texts that are not empty as one."""
-    return "; ".join(text for text in texts if text)
+def explain_absent(flown: dict[str, Any], crashes: Mapping[int, str]) -> None:
+    """Add what has broken them to the reasons of the drones without a result.
+
+    flown: object that `run --json` prints, see summarise_flight; changed
+    """
+    for i in flown["absent"]:
+        if i in crashes:
+            flown["reasons"][i] += f"; {crashes[i]}"

@@ -16,7 +16,7 @@ from crazychoir.launch.console import ANSWER_CONSOLE, redirect_prints, write_jso
 if TYPE_CHECKING:
     from crazychoir.config.swarm_config import SwarmConfig
 
-CORRECT = "Correct it as the text says."
+CORRECT_IT = "Correct it as the text says."
 """What to do about a fault or a warning that names it."""
 STATE_COLOURS = {
     "ok": "green",
@@ -119,12 +119,12 @@ def check_mission(config: "SwarmConfig") -> list[CheckResult]:
         do = (
             "Copy it here beside the swarm file: crazychoir push"
             if is_lost
-            else CORRECT
+            else CORRECT_IT
         )
         return [CheckResult("mission", "wrong", str(error), do)]
     return [
         CheckResult("mission", "ok", config.mission),
-        *(CheckResult("flight", "warning", text, CORRECT) for text in warnings),
+        *(CheckResult("flight", "warning", text, CORRECT_IT) for text in warnings),
     ]
 
 

@@ -26,7 +26,7 @@ from crazychoir.launch.flight import (
     summarise_flight,
 )
 from crazychoir.launch.processes import Owner
-from crazychoir.launch.virtual_bodies import NO_CRASHES
+from crazychoir.launch.virtual_bodies import add_crashes, explain_absent
 from crazychoir.types import Status
 
 
@@ -37,7 +37,7 @@ def starts_world(config, started):
 MISSION = SimpleNamespace(guidance=lambda i, config: None)
 
 
-def result_of(results, here=None, mission=MISSION, touching=None, crashes=NO_CRASHES):
+def result_of(results, here=None, mission=MISSION, touching=None):
     score = SimpleNamespace(
         min_separation=0.5,
         touching=touching or {},
@@ -48,9 +48,7 @@ def result_of(results, here=None, mission=MISSION, touching=None, crashes=NO_CRA
         formation=dict,
         tracks={},
     )
-    return summarise_flight(
-        default_swarm(3), mission, results, score, 10.0, 2.0, here, crashes
-    )
+    return summarise_flight(default_swarm(3), mission, results, score, 10.0, 2.0, here)
 
 
 def test_a_run_succeeds_when_every_drone_does():
@@ -71,8 +69,10 @@ def test_a_run_succeeds_when_every_drone_does():
 
 
 def test_a_fall_is_a_reason_whether_or_not_the_agent_of_the_drone_has_a_result():
-    results = {i: {"success": True} for i in (0, 2)}
-    told = result_of(results, crashes={0: "crashed", 1: "crashed"})
+    crashes = {0: "crashed", 1: "crashed"}
+    results = add_crashes({i: {"success": True} for i in (0, 2)}, crashes)
+    told = result_of(results)
+    explain_absent(told, crashes)
     assert told["success"] is False
     assert told["reasons"] == {0: "drone 0: crashed", 1: f"{NO_RESULT}; crashed"}
     assert told["results"][0] == {"success": False, "reason": "drone 0: crashed"}
