@@ -59,7 +59,7 @@ def make_hello(process: str = "1-1", host: str = "b", **changes: Any) -> Hello:
         "drones": [1],
         "observers": [],
         "interests": [],
-        "heard": ["0-1"],
+        "hears_receiver": True,
         "stopped": False,
     }
     return Hello(process=process, host=host, **{**fields, **changes})

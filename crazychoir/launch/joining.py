@@ -19,8 +19,4 @@ async def wait_until_joined(link: ZenohLink, links: Graph) -> None:
 
 def _is_greeted(link: ZenohLink, j: int) -> bool:
     peer = link.directory.get(j)
-    return (
-        peer is not None
-        and peer.hello is not None
-        and link.bus.process in peer.hello.heard
-    )
+    return peer is not None and link.table.mutual(peer)

@@ -154,9 +154,7 @@ class Commands:
     async def status(self) -> dict[str, Any]:
         """Return the processes that we have heard, the processes that have heard us, and all counters."""
         known = [peer for peer in self.link.peers.values() if peer.hello is not None]
-        heard_by = [
-            peer.process for peer in known if self.link.bus.process in peer.hello.heard
-        ]
+        heard_by = [peer.process for peer in known if self.link.table.mutual(peer)]
         boxes = {name: box.received for name, box in self.boxes.items()}
         return {
             "heard": [peer.process for peer in known],

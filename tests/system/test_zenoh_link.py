@@ -88,11 +88,7 @@ class Ground:
 
         def known() -> bool:
             peer = link.peers.get(process)
-            return (
-                peer is not None
-                and peer.hello is not None
-                and link.bus.process in peer.hello.heard
-            )
+            return peer is not None and link.table.mutual(peer)
 
         return known
 
@@ -325,7 +321,7 @@ async def test_hostile_frames_are_counted_and_nothing_breaks(ground: Ground) -> 
         (f"{prefix}/here/{name}/rounds", encode_frame(Frame(name, 7, 2, [message])))
         for name in names
     ]
-    hello = Hello("z-1", "here", 7, "1", 0.0, [1], [], [], [], True).payload()
+    hello = Hello("z-1", "here", 7, "1", 0.0, [1], [], [], True).payload()
     put += [
         (
             f"{prefix}/here/z-1/rounds",
@@ -358,8 +354,8 @@ async def test_a_peer_that_sends_nonsense_is_counted(ground: Ground) -> None:
     outsider = ground.outsider()
     token = outsider.liveliness().declare_token(f"choir/{ground.swarm}/live/there/z-1")
     await until(lambda: "z-1" in link.peers)
-    hello = Hello("z-1", "there", 7, "1", 0.0, [1], [], [], [], False).payload()
-    others = Hello("b-1", "there", 7, "1", 0.0, [1], [], [], [], False).payload()
+    hello = Hello("z-1", "there", 7, "1", 0.0, [1], [], [], False).payload()
+    others = Hello("b-1", "there", 7, "1", 0.0, [1], [], [], False).payload()
     for payload in (b"", os.urandom(40), encode({"process": "z-1"}), others, hello):
         frame = encode_frame(
             Frame(

@@ -35,7 +35,7 @@ class HelloTiming:
     It is also the time between later repeats.
     """
     asking_rate: int = 4
-    """HELLOs a second to a peer until HELLO has gone both ways."""
+    """Most HELLOs a second to a peer until HELLO has gone both ways."""
     check_period: int = 2
     """Seconds between checks of the connections."""
 
@@ -79,8 +79,8 @@ class Greeter:
         """Repeat HELLO, and ask other hosts for their clocks.
 
         HELLO is sent often to peers that have not received ours, or sent theirs, and seldom when
-        all are known. If only the processes that we have heard change, HELLO is not sent to all at
-        once: each of N processes that start together would send N times as many.
+        all are known. It tells each peer of this peer alone: if it named all that we have heard,
+        each of N processes that start together would send it N times to each other one.
         """
         tick = 0
         async for _ in self._bus.clock.ticks(
@@ -88,10 +88,9 @@ class Greeter:
         ):
             tick += 1
             self._table.offer_new_ports()
-            _, age = self._table.hello()
             due = (
                 tick % HELLO_TIMING.asking_rate == 0
-                and age < HELLO_TIMING.settling_time
+                and self._table.hello_age() < HELLO_TIMING.settling_time
             )
             if (
                 self._table.has_news()
@@ -100,15 +99,26 @@ class Greeter:
                 self.greet_all()
             elif due:
                 self._repeat_hello()
-            for peer in self._table.by_name.values():
-                if not peer.refusal and not self._table.mutual(peer):
-                    self._greet([peer.process])
+            self._ask_unknown()
             self._greet_estranged(gone_too=tick % HELLO_TIMING.asking_rate == 0)
             if tick % HELLO_TIMING.asking_rate == 0:
                 self._ask_clocks()
                 self._bus.link_faults = self._counters.list_faults()
             if tick % (HELLO_TIMING.check_period * HELLO_TIMING.asking_rate) == 0:
                 self._check_connections()
+
+    def _ask_unknown(self) -> None:
+        """Send HELLO to peers that have not received ours, or sent theirs: ever less often, then each second.
+
+        On a busy machine a peer needs a while to answer, and more questions would make it longer.
+        """
+        for peer in self._table.by_name.values():
+            if peer.refusal or self._table.mutual(peer):
+                continue
+            peer.asked += 1
+            is_power_of_two = peer.asked & (peer.asked - 1) == 0
+            if is_power_of_two or peer.asked % HELLO_TIMING.asking_rate == 0:
+                self._greet([peer.process])
 
     def greet_all(self) -> None:
         """Send HELLO to every peer at the end of this pass of the event loop."""
@@ -117,13 +127,12 @@ class Greeter:
 
     def _repeat_hello(self) -> None:
         """Send HELLO again to each peer that may have lost it: a socket hardly loses any."""
-        payload, _ = self._table.hello()
-        peers = self._table.by_name.values()
         connections = self._sockets.connections
         doubtful = [
             peer.process
-            for peer in peers
-            if peer.told != payload or peer.process not in connections
+            for peer in self._table.by_name.values()
+            if peer.told != self._table.hello_to(peer)
+            or peer.process not in connections
         ]
         if doubtful:
             self._greet(doubtful)
@@ -137,23 +146,25 @@ class Greeter:
     def _say_hello(self) -> None:
         processes = self._to_greet
         self._to_greet = {}
-        hello = self._make_hello()
         for process in processes:
             peer = self._table.by_name.get(process)
             if peer is not None:
+                hello = self._make_hello(peer)
                 self._outbox.add(peer, MESSAGE_TOPICS.hello.klass, hello)
                 if process in self._sockets.connections:
                     peer.told = hello.payload
 
-    def _make_hello(self) -> Envelope:
-        payload, age = self._table.hello()
+    def _make_hello(self, peer: Peer | None) -> Envelope:
+        """Return the message with our HELLO for a peer, or for a process that is none."""
+        payload = self._table.hello_to(peer)
+        age = self._table.hello_age()
         return Envelope(MESSAGE_TOPICS.hello.number, 0, (), 0, 0, age, "", payload)
 
     def _greet_estranged(self, gone_too: bool) -> None:
         """Send HELLO to processes without a token, without the queues of a peer."""
         processes = self._estranged.due(gone_too)
         if self._session.is_open and processes:
-            hello = self._make_hello()
+            hello = self._make_hello(None)
             klass = MESSAGE_TOPICS.hello.klass
             self._outbox.send_without_queue(processes, klass, hello)
 
@@ -169,7 +180,8 @@ class Greeter:
             return
         if not peer.refusal:
             is_mutual = self._table.mutual(peer)
-            self._heard_of_us(peer.process, is_mutual)
+            lacks_token = peer.hello is not None and peer.hello.lacks_token
+            self._heard_of_us(peer.process, is_mutual, lacks_token)
             is_here = peer.host == self._bus.host
             if is_mutual and is_here and peer.hello is not None:
                 self._sockets.reach(peer.process, peer.hello.local)
@@ -195,11 +207,15 @@ class Greeter:
             self._counters.malformed += 1
             return
         if (hello.host, hello.process) == (host, process):
-            self._heard_of_us(process, self._bus.process in hello.heard)
+            self._heard_of_us(process, hello.hears_receiver, hello.lacks_token)
 
-    def _heard_of_us(self, process: str, knows_us: bool) -> None:
-        """Declare one more token if the process does not see ours."""
-        if self._estranged.greeted(process, knows_us) and self._session.is_open:
+    def _heard_of_us(self, process: str, knows_us: bool, lacks_token: bool) -> None:
+        """Declare one more token if the process hears us and does not see ours."""
+        if knows_us:
+            self._estranged.known(process)
+            return
+        is_due = lacks_token and self._estranged.missed(process)
+        if is_due and self._session.is_open:
             log.info("%s hears us and has no token of ours: one more", process)
             self._session.declare_another_token()
 

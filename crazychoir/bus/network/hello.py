@@ -76,8 +76,6 @@ class Hello(msgspec.Struct, frozen=True):
     """Addresses of its other ports."""
     interests: Annotated[list[Interest], Meta(max_length=HELLO_RULES.max_interests)]
     """Topics that it wants from other processes."""
-    heard: Annotated[list[_Name], Meta(max_length=HELLO_RULES.max_addresses)]
-    """Processes with a HELLO that has arrived there."""
     stopped: bool
     """True while an emergency stop is in force."""
     agreed: Annotated[dict[_Name, _Name], Meta(max_length=HELLO_RULES.max_digests)] = {}
@@ -87,6 +85,10 @@ class Hello(msgspec.Struct, frozen=True):
     """
     local: LocalAddress = NO_LOCAL_ADDRESS
     """Where the processes of its host find it."""
+    hears_receiver: bool = False
+    """True if a HELLO of the process that gets this one has arrived at the sender."""
+    lacks_token: bool = False
+    """True if the sender gets frames of the process that gets this HELLO, and has no token of it."""
 
     @classmethod
     def of(cls, payload: bytes) -> "Hello":

@@ -23,7 +23,7 @@ class SocketFileRules:
     new_suffix: str = ".new"
     """End of the name of a socket at which a process does not listen yet."""
     new_time: float = 10.0
-    """Seconds after which a process that does not listen yet has died on the way."""
+    """Seconds for which a socket is new: its process may be going to listen."""
     backlog: int = 128
     """Connections that may wait to be accepted."""
 
@@ -134,14 +134,13 @@ def decode_identity(packet: bytes) -> LocalIdentity:
 def remove_stale_sockets(folder: Path) -> None:
     """Remove the sockets of processes that ended without removing them.
 
-    A new one may belong to a process that is going to listen: only an old one is removed.
+    A new one is left alone, because it may belong to a process that is going to listen, or to one of
+    many that start together: each of them would connect to all others to find out.
     """
-    for path in folder.glob(f"*{SOCKET_FILES.suffix}"):
-        if _is_abandoned(path):
-            path.unlink(missing_ok=True)
-    for path in folder.glob(f"*{SOCKET_FILES.new_suffix}"):
-        if _is_abandoned(path) and _age(path) > SOCKET_FILES.new_time:
-            path.unlink(missing_ok=True)
+    for suffix in (SOCKET_FILES.suffix, SOCKET_FILES.new_suffix):
+        for path in folder.glob(f"*{suffix}"):
+            if _age(path) > SOCKET_FILES.new_time and _is_abandoned(path):
+                path.unlink(missing_ok=True)
 
 
 def _is_abandoned(path: Path) -> bool:

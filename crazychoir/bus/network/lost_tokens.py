@@ -5,7 +5,7 @@ arrive, but the token never comes back, neither by a query nor if it is declared
 another key does arrive.
 
 Therefore a process without a token that sends frames, or had a token before, gets a HELLO now and
-then. A process that is missing in the HELLOs that it receives declares one more token.
+then, which tells this. Then the process declares one more token.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ class LostTokenLimits:
     """When a process repairs tokens that were lost, and how many processes it keeps for that."""
 
     patience: int = 4
-    """Times that HELLO of a process was without us before we declare another token.
+    """Times that HELLO of a process told that it lacks our token before we declare another one.
 
     Then twice as many each time. However many HELLOs arrive between two calls of `due`, they count
     as one: many processes that start together send each other many.
@@ -43,7 +43,7 @@ class TokenRepair:
         self._gone: dict[str, None] = {}
         self._missing: dict[str, int] = {}
         self._counted: set[str] = set()
-        """Processes with a HELLO without us since the last call of `due`."""
+        """Processes that have told since the last call of `due` that they lack our token."""
         self._is_declared = False
         """True if a token was declared since then. It is for all processes."""
 
@@ -64,11 +64,12 @@ class TokenRepair:
         if len(self._strangers) < PEER_LIMITS.max_peers:
             self._strangers[process] = None
 
-    def greeted(self, process: str, knows_us: bool) -> bool:
-        """Note that its HELLO has arrived; return True if we should declare another token."""
-        if knows_us:
-            self._missing.pop(process, None)
-            return False
+    def known(self, process: str) -> None:
+        """Note that the process knows us."""
+        self._missing.pop(process, None)
+
+    def missed(self, process: str) -> bool:
+        """Note that the process has no token of ours; return True if we should declare another one."""
         if process in self._counted:
             return False
         if process not in self._missing and len(self._missing) >= PEER_LIMITS.max_peers:

@@ -74,6 +74,8 @@ class Peer:
     """Its last HELLO as received."""
     told: bytes = b""
     """Our last HELLO that went to it through a socket."""
+    asked: int = 0
+    """Number of times that a HELLO from it was missing, of those when HELLO is sent."""
     refusal: str = ""
     """Reason why its HELLO was refused; empty if it was not."""
     forbidden: bool = False
@@ -86,6 +88,18 @@ class Peer:
     """The newest control messages that came through a socket."""
     budget: FrameBudget = field(default_factory=FrameBudget)
     """The frames that it may still send through a socket."""
+
+
+@dataclass(frozen=True, slots=True)
+class HelloPayloads:
+    """Our HELLO as bytes, for each kind of receiver."""
+
+    to_stranger: bytes
+    """For a process without a token."""
+    to_unheard: bytes
+    """For a peer with a HELLO that has not arrived."""
+    to_heard: bytes
+    """For a peer with a HELLO that has arrived."""
 
 
 class Peers:
@@ -123,7 +137,7 @@ class Peers:
         self._offered: list[int] = []
         self._said: Hello | None = None
         self._told_to_all: Hello | None = None
-        self._payload = b""
+        self._payloads = HelloPayloads(b"", b"", b"")
 
     def came(self, host: str, process: str, token: str) -> Peer | None:
         """Add a token and return the peer if it is new."""
@@ -191,53 +205,49 @@ class Peers:
 
     def mutual(self, peer: Peer) -> bool:
         """Return True if HELLO has gone both ways."""
-        return peer.hello is not None and self.bus.process in peer.hello.heard
+        return peer.hello is not None and peer.hello.hears_receiver
 
-    def hello(self) -> tuple[bytes, float]:
-        """Return our HELLO, and its age in seconds."""
+    def hello_to(self, peer: Peer | None) -> bytes:
+        """Return our HELLO for a peer, or for a process that is none."""
+        self._refresh_hello()
+        if peer is None:
+            return self._payloads.to_stranger
+        if peer.hello is None:
+            return self._payloads.to_unheard
+        return self._payloads.to_heard
+
+    def hello_age(self) -> float:
+        """Return the age of our HELLO in seconds."""
+        return self._uptime() - self._refresh_hello().uptime
+
+    def _refresh_hello(self) -> Hello:
+        """Make our HELLO anew if it has changed, and return it."""
         self._ports = list(self.bus.ports)
-        uptime = self._uptime()
         said = self._said
-        if said is None or said != self._hello(said.uptime):
-            said = self._said = self._hello(uptime)
-            self._payload = said.payload()
-        return self._payload, uptime - said.uptime
+        if said is None or said != make_hello(self.bus, self.own, said.uptime):
+            said = self._said = make_hello(self.bus, self.own, self._uptime())
+            self._payloads = HelloPayloads(
+                to_stranger=replace(said, lacks_token=True).payload(),
+                to_unheard=said.payload(),
+                to_heard=replace(said, hears_receiver=True).payload(),
+            )
+        return said
 
     def has_news(self) -> bool:
-        """Return True if our HELLO has changed since the last call, apart from the processes in `heard`."""
-        now = replace(self._hello(0.0), heard=[])
-        is_new = now != self._told_to_all
+        """Return True if our HELLO has changed since the last call."""
+        now = self._refresh_hello()
+        is_new = now is not self._told_to_all
         self._told_to_all = now
         return is_new
-
-    def _hello(self, uptime: float) -> Hello:
-        """Return the HELLO of this process."""
-        return Hello(
-            process=self.bus.process,
-            host=self.bus.host,
-            incarnation=self.own.incarnation,
-            version=self.own.version,
-            uptime=uptime,
-            drones=[i for i in self._ports if i < PORT_ADDRESSES.first_observer],
-            observers=[i for i in self._ports if i >= PORT_ADDRESSES.first_observer],
-            interests=list(self.bus.interests),
-            heard=[
-                peer.process for peer in self.by_name.values() if peer.hello is not None
-            ],
-            # An observer does not learn that a stop is cleared, so it does not report one.
-            stopped=self.bus.stopped and bool(self.bus.drones()),
-            agreed=dict(self.own.agreed),
-            local=self.own.local,
-        )
 
     def greeted(self, peer: Peer, payload: bytes, age: float) -> bool:
         """Take a HELLO that is `age` seconds old, and return True if the peer needs ours.
 
-        After its first HELLO it needs ours to know that we have received it.
+        It needs ours to know that we have received its own.
         Raises CodecError for an invalid HELLO, or in the name of another process.
         """
         if payload == peer.said:
-            return False
+            return peer.hello is not None and not peer.refusal and not self.mutual(peer)
         hello = Hello.of(payload)
         if (hello.process, hello.host) != (peer.process, peer.host):
             raise CodecError(
@@ -386,3 +396,26 @@ class Peers:
         ):
             for address in peer.hello.addresses if peer.hello is not None else ():
                 self.directory.setdefault(address, peer)
+
+
+def make_hello(bus: Bus, own: Introduction, uptime: float) -> Hello:
+    """Return the HELLO of this process to a peer that it has not heard.
+
+    bus: bus of this process
+    own: how this process introduces itself
+    uptime: s since it started
+    """
+    return Hello(
+        process=bus.process,
+        host=bus.host,
+        incarnation=own.incarnation,
+        version=own.version,
+        uptime=uptime,
+        drones=[i for i in bus.ports if i < PORT_ADDRESSES.first_observer],
+        observers=[i for i in bus.ports if i >= PORT_ADDRESSES.first_observer],
+        interests=list(bus.interests),
+        # An observer does not learn that a stop is cleared, so it does not report one.
+        stopped=bus.stopped and bool(bus.drones()),
+        agreed=dict(own.agreed),
+        local=own.local,
+    )

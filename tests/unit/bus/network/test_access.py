@@ -131,14 +131,12 @@ def test_a_claim_to_what_another_host_holds_is_refused(config):
         ([7], []),
         ([], [PORT_ADDRESSES.camera_offset + 1]),
     ):
-        claims = Hello(
-            "1-1", "desktop", 2, "1", 1.0, drones, observers, [], ["0-1"], False
-        )
+        claims = Hello("1-1", "desktop", 2, "1", 1.0, drones, observers, [], False)
         peers.greeted(peer, claims.payload(), 0.0)
         assert peers.directory == {}
     peers.greeted(
         peer,
-        Hello("1-1", "desktop", 2, "1", 1.0, [1], [], [], ["0-1"], False).payload(),
+        Hello("1-1", "desktop", 2, "1", 1.0, [1], [], [], False).payload(),
         0.0,
     )
     assert peers.directory == {1: peer}
@@ -202,7 +200,6 @@ def test_what_a_process_claims_in_turns_is_said_once(config, caplog):
             f"other {k}",
             1.0,
             [] if k % 3 else [0, 7][k % 2 :],
-            [],
             [],
             [],
             False,

@@ -160,15 +160,15 @@ def test_first_hello_of_a_peer_is_answered_once():
     meeting = Meeting()
     peer = meeting.table.came("b", "2-1", "token")
     answers = []
-    for heard in (["0-1"], ["0-1", "1-1"], []):
-        said = make_hello("2-1", drones=[2], heard=heard)
+    for knows_us, drones in ((True, [2]), (True, [2, 3]), (False, [2])):
+        said = make_hello("2-1", drones=drones, hears_receiver=knows_us)
         meeting.greeter.take_hello(peer, said.payload(), 0.0)
         answers.append(meeting.outbox.flush())
     answer = [("2-1", HELLO_TOPIC.number)]
-    assert answers == [answer, [], answer], "the last HELLO is without us"
+    assert answers == [answer, [], answer], "the last HELLO tells that we are not heard"
 
 
-def test_change_of_the_heard_processes_is_not_sent_to_all_at_once():
+def test_only_a_process_that_is_heard_for_the_first_time_gets_a_hello():
     meeting = Meeting()
 
     async def main(clock):
@@ -207,17 +207,17 @@ def test_what_waits_for_a_process_is_dropped_with_its_last_token():
 
 
 @pytest.mark.parametrize(
-    ("host", "heard", "reached"),
-    [("b", ["0-1"], False), ("a", [], False), ("a", ["0-1"], True)],
+    ("host", "knows_us", "reached"),
+    [("b", True, False), ("a", False, False), ("a", True, True)],
 )
 def test_processes_of_the_host_are_reached_when_hello_has_gone_both_ways(
-    host, heard, reached
+    host, knows_us, reached
 ):
     meeting = Meeting()
     meeting.table.went("b", "1-1", "token")
     peer = meeting.table.came(host, "1-1", "token")
     there = LocalAddress("machine", "path")
-    said = make_hello(host=host, heard=heard, local=there)
+    said = make_hello(host=host, hears_receiver=knows_us, local=there)
     meeting.greeter.take_hello(peer, said.payload(), 0.0)
     assert meeting.sockets.reached == ([("1-1", there)] if reached else [])
 
@@ -232,7 +232,7 @@ def test_a_stranger_with_another_s_name_is_not_answered():
 
 def test_a_process_that_hears_us_and_lost_our_token_gets_another_one():
     meeting = Meeting()
-    forgetful = make_hello("1-2", heard=[]).payload()
+    forgetful = make_hello("1-2", hears_receiver=False, lacks_token=True).payload()
     for _ in range(LOST_TOKEN_LIMITS.patience - 1):
         meeting.meet_stranger("1-2", forgetful)
         meeting.answered()
@@ -241,11 +241,40 @@ def test_a_process_that_hears_us_and_lost_our_token_gets_another_one():
     assert meeting.session.tokens == 1
 
 
+def test_a_process_that_has_not_heard_us_yet_needs_no_further_token():
+    meeting = Meeting()
+    peer = meeting.table.by_name["1-1"]
+    for k in range(2 * LOST_TOKEN_LIMITS.patience):
+        early = make_hello(uptime=1.0 + k, hears_receiver=False)
+        meeting.greeter.take_hello(peer, early.payload(), 0.0)
+        meeting.answered()
+    assert meeting.session.tokens == 0
+
+
+def test_a_peer_that_does_not_answer_is_asked_ever_less_often():
+    meeting = Meeting()
+    meet(meeting.table, make_hello("2-1", drones=[2], hears_receiver=False))
+
+    async def greet(clock):
+        meeting.bus.clock = clock
+        running = asyncio.create_task(meeting.greeter.run())
+        await clock.sleep(0.05)
+        greeted = []
+        for _ in range(16):
+            await clock.sleep(0.25)
+            greeted.append(("2-1", HELLO_TOPIC.number) in meeting.outbox.flush())
+        running.cancel()
+        return [k for k, is_asked in enumerate(greeted, 1) if is_asked]
+
+    assert run_virtual(greet) == [1, 2, 4, 8, 12, 16]
+
+
 def test_a_closed_session_declares_no_token_and_greets_no_stranger():
     meeting = Meeting()
     meeting.session.is_open = False
+    forgetful = make_hello("1-2", hears_receiver=False, lacks_token=True).payload()
     for _ in range(LOST_TOKEN_LIMITS.patience):
-        meeting.meet_stranger("1-2", make_hello("1-2", heard=[]).payload())
+        meeting.meet_stranger("1-2", forgetful)
         assert meeting.answered() == []
     assert meeting.session.tokens == 0
 
@@ -326,4 +355,4 @@ def test_the_hello_that_is_sent_describes_this_process():
     [(_, message)] = meeting.outbox.sent
     hello = Hello.of(message.payload)
     assert (hello.process, hello.host, hello.drones) == ("0-1", "a", [0])
-    assert hello.heard == ["1-1"]
+    assert hello.hears_receiver

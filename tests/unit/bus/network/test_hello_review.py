@@ -21,7 +21,9 @@ CAMERA = PORT_ADDRESSES.camera_offset
 
 def hello(**changes: Any) -> Hello:
     """Return the HELLO of process b with drone 1."""
-    return make_hello(**{"process": "b", "host": "there", "heard": ["a"], **changes})
+    return make_hello(
+        **{"process": "b", "host": "there", "hears_receiver": True, **changes}
+    )
 
 
 class StoppedClock(Clock):

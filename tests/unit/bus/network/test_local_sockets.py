@@ -323,13 +323,23 @@ async def test_an_end_that_closes_is_noticed_and_may_come_again(ends):
 async def test_sockets_of_processes_that_were_killed_are_removed(ends):
     a = ends("a")
     folder = Path(a.sockets.address.path).parent
+    stale = folder / "stale.sock"
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as killed:
-        killed.bind(str(folder / "stale.sock"))
+        killed.bind(str(stale))
+    os.utime(stale, (time.time() - 60.0,) * 2)
     b = ends("b")
     assert sorted(folder.iterdir()) == sorted(
         Path(end.sockets.address.path) for end in (a, b)
     )
     await connect(a, b)
+
+
+async def test_processes_that_start_together_do_not_connect_to_find_stale_sockets(ends):
+    a = ends("a")
+    ends("b")
+    await asyncio.sleep(0)
+    with pytest.raises(BlockingIOError):
+        a.sockets._listening.accept()
 
 
 @pytest.mark.parametrize(("age", "stays"), [(0.0, True), (60.0, False)])

@@ -6,10 +6,10 @@ from crazychoir.bus.network.lost_tokens import LOST_TOKEN_LIMITS, TokenRepair
 from crazychoir.bus.network.peers import PEER_LIMITS
 
 
-def count_greeting(estranged: TokenRepair, process: str, *, knows_us: bool) -> bool:
-    """Let a HELLO arrive in a tick of its own; return whether to declare another token."""
+def count_greeting(estranged: TokenRepair, process: str) -> bool:
+    """Let a HELLO without our token arrive in a tick of its own; return whether to declare another."""
     estranged.due(gone_too=False)
-    return estranged.greeted(process, knows_us)
+    return estranged.missed(process)
 
 
 @pytest.fixture
@@ -42,17 +42,15 @@ def test_a_peer_that_went_is_greeted_until_it_comes_back(
 def test_another_token_after_four_greetings_without_us_and_then_ever_more_seldom(
     estranged: TokenRepair,
 ) -> None:
-    declared = [
-        k for k in range(1, 70) if count_greeting(estranged, "b", knows_us=False)
-    ]
+    declared = [k for k in range(1, 70) if count_greeting(estranged, "b")]
     assert declared == [4, 8, 16, 32, 64]
 
 
 def test_many_greetings_at_once_count_as_one(estranged: TokenRepair) -> None:
     for _ in range(LOST_TOKEN_LIMITS.patience - 1):
         estranged.due(gone_too=False)
-        assert not any(estranged.greeted("b", knows_us=False) for _ in range(9))
-    assert count_greeting(estranged, "b", knows_us=False)
+        assert not any(estranged.missed("b") for _ in range(9))
+    assert count_greeting(estranged, "b")
 
 
 def test_one_token_is_declared_for_all_that_miss_it_at_once(
@@ -61,23 +59,21 @@ def test_one_token_is_declared_for_all_that_miss_it_at_once(
     declared = []
     for _ in range(8):
         estranged.due(gone_too=False)
-        found = [estranged.greeted(process, knows_us=False) for process in "bcd"]
+        found = [estranged.missed(process) for process in "bcd"]
         declared.append(found)
     none = [False] * 3
     first = [True, False, False]
     assert declared == [*[none] * 3, first, *[none] * 3, first]
 
 
-@pytest.mark.parametrize(
-    "known", [lambda e: e.greeted("b", knows_us=True), lambda e: e.went("b")]
-)
+@pytest.mark.parametrize("known", [lambda e: e.known("b"), lambda e: e.went("b")])
 def test_the_count_restarts_when_the_peer_knows_us_or_goes(
     estranged: TokenRepair, known
 ) -> None:
     for _ in range(3):
-        assert not count_greeting(estranged, "b", knows_us=False)
+        assert not count_greeting(estranged, "b")
     known(estranged)
-    assert [count_greeting(estranged, "b", knows_us=False) for _ in range(4)] == [
+    assert [count_greeting(estranged, "b") for _ in range(4)] == [
         False,
         False,
         False,
@@ -103,9 +99,15 @@ def test_however_many_there_are_a_bound_is_kept(estranged: TokenRepair) -> None:
         LOST_TOKEN_LIMITS.answered_strangers
     ] * (PEER_LIMITS.max_peers // LOST_TOKEN_LIMITS.answered_strangers - 1) + [0]
     for process in many:
-        count_greeting(estranged, process, knows_us=False)
+        count_greeting(estranged, process)
     for _ in range(2):
-        count_greeting(estranged, many[0], knows_us=False)
-        count_greeting(estranged, many[-1], knows_us=False)
-    assert count_greeting(estranged, many[0], knows_us=False)
-    assert not count_greeting(estranged, many[-1], knows_us=False)
+        count_greeting(estranged, many[0])
+        count_greeting(
+            estranged,
+            many[-1],
+        )
+    assert count_greeting(estranged, many[0])
+    assert not count_greeting(
+        estranged,
+        many[-1],
+    )

@@ -33,7 +33,7 @@ def hello(process: str = "b", drones: tuple[int, ...] = (1,), **changes: Any) ->
         "uptime": 1.0,
         "observers": [],
     }
-    fields |= {"interests": [], "heard": ["a"], "stopped": False}
+    fields |= {"interests": [], "hears_receiver": True, "stopped": False}
     return Hello(process=process, drones=list(drones), **{**fields, **changes})
 
 
@@ -121,7 +121,7 @@ def here() -> Here:
 
 
 def test_a_peer_is_known_from_token_to_token(here: Here) -> None:
-    assert here.hear(hello(heard=[])) is True, "it does not know us"
+    assert here.hear(hello(hears_receiver=False)) is True, "it does not know us"
     assert here.hear(hello()) is False
     assert here.peers.directory[1].process == "b"
     assert here.peers.went("elsewhere", "b", "token") is None, (
@@ -167,7 +167,7 @@ def test_the_process_with_the_shortest_way_tells_the_clock_of_its_host(
         peer = here.peers.came(host, name, name)
         here.peers.greeted(
             peer,
-            hello(name, (), host=host, heard=["a"] if name != "f" else []).payload(),
+            hello(name, (), host=host, hears_receiver=name != "f").payload(),
             0.0,
         )
     assert [peer.process for peer in here.peers.on_other_hosts] == ["b", "c", "d"], (
@@ -259,18 +259,35 @@ def test_hello_of_a_process_on_another_host_is_refused(here: Here) -> None:
 
 
 def test_we_repeat_the_same_bytes_until_something_changes(here: Here) -> None:
-    payload, age = here.peers.hello()
+    payload = here.peers.hello_to(None)
+    age = here.peers.hello_age()
     here.clock.ns += 2_000_000_000
-    again, older = here.peers.hello()
-    assert again is payload
-    assert older - age == pytest.approx(2.0)
+    assert here.peers.hello_to(None) is payload
+    assert here.peers.hello_age() - age == pytest.approx(2.0)
     here.bus.port(7)
-    changed, age = here.peers.hello()
-    assert (Hello.of(changed).drones, Hello.of(changed).uptime, age) == (
-        [0, 7],
-        2.0,
-        0.0,
-    )
+    changed = Hello.of(here.peers.hello_to(None))
+    assert (changed.drones, changed.uptime) == ([0, 7], 2.0)
+    assert here.peers.hello_age() == 0.0
+
+
+def test_a_hello_tells_its_receiver_what_we_have_of_it(here: Here) -> None:
+    def told(peer: Peer | None) -> tuple[bool, bool]:
+        said = Hello.of(here.peers.hello_to(peer))
+        return said.hears_receiver, said.lacks_token
+
+    peer = here.peers.came("there", "b", "token")
+    assert told(None) == (False, True)
+    assert told(peer) == (False, False)
+    here.peers.greeted(peer, hello().payload(), 0.0)
+    assert told(peer) == (True, False)
+
+
+def test_a_repeated_hello_is_answered_until_the_peer_has_ours(here: Here) -> None:
+    unknowing = hello(hears_receiver=False)
+    here.hear(unknowing)
+    assert here.hear(unknowing) is True
+    here.hear(hello())
+    assert here.hear(hello()) is False
 
 
 def test_the_later_of_two_gives_way(here: Here) -> None:
@@ -392,7 +409,9 @@ def test_interests_count_once_both_have_heard(here: Here) -> None:
     )()
     here.bus.ports[0].publish(DRONE_TOPICS.status, Status("landed"))
     wish = [Interest("status", 0, 10_001)]
-    here.hear(hello(drones=(), observers=[10_001], interests=wish, heard=[]))
+    here.hear(
+        hello(drones=(), observers=[10_001], interests=wish, hears_receiver=False)
+    )
     assert sent == []
     here.hear(hello(drones=(), observers=[10_001], interests=wish))
     here.hear(hello(drones=(), observers=[10_001], interests=wish, uptime=3.0))
