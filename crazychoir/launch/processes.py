@@ -97,6 +97,8 @@ class Owner:
 WORLD_OWNER = Owner("world", "crazychoir.cli.fly.world")
 AGENT_MODULE = "crazychoir.cli.fly.agent"
 """Module that runs as an agent."""
+SWARM_OPTION = "--swarm"
+"""Option of agents and owners with the swarm file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +119,7 @@ class SwarmLauncher:
         ids = [word for i in group for word in ("--id", str(i))]
         return await self.server.start(
             AGENT_MODULE,
-            *("--swarm", str(self.path)),
+            *(SWARM_OPTION, str(self.path)),
             *ids,
             *("--child", str(self.result_file(group))),
             is_held=True,
@@ -132,7 +134,7 @@ class SwarmLauncher:
 
     async def start_owner(self, owner: Owner) -> ForkedProcess:
         """Start the process of an owner."""
-        words = ("--swarm", str(self.path), *owner.options, "--child")
+        words = (SWARM_OPTION, str(self.path), *owner.options, "--child")
         return await self.server.start(owner.module, *words)
 
     @contextlib.asynccontextmanager

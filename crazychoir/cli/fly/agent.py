@@ -72,13 +72,17 @@ def agent(
             configured_swarm,
         )  # takes 1 s, which --help does not need
         from crazychoir.guidance.mission import check_before_flight, load_mission
+        from crazychoir.launch.process.preloading import PRELOADED_SWARMS
         from crazychoir.launch.process.process import run_agent
         from crazychoir.launch.processes import write_results
 
     try:
         with redirect_prints(), refuse_exit("the mission"):
             with KERNEL_QUEUE.checks_first():
-                config, which = configured_swarm(swarm, mission, loss, seed)
+                config = PRELOADED_SWARMS.find(swarm) if child is not None else None
+                which = str(swarm)
+                if config is None:
+                    config, which = configured_swarm(swarm, mission, loss, seed)
                 chosen = parse_choice(",".join(ids), "--id").find(config)
                 members = tuple(sorted(chosen))
                 flown = load_mission(str(config.mission))

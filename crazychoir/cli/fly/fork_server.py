@@ -4,12 +4,14 @@ Laws that are kept on disk are loaded at once, and called in a short flight. Mis
 when `run` has checked the swarm: errors in a swarm file are reported before anything is compiled.
 """
 
+import contextlib
 import socket
 import sys
 
 import typer
 
 from crazychoir.cli.fly.process_command import limit_matrix_threads
+from crazychoir.launch.fork_server import ForkRequest
 from crazychoir.launch.process.ending import end_after_parent
 from crazychoir.launch.process.forking import serve_forks
 from crazychoir.numerics.compiling import KERNEL_QUEUE
@@ -25,7 +27,7 @@ def main() -> None:
     if not KERNEL_QUEUE.count_waiting():
         _fly_once()
     with socket.socket(fileno=int(sys.argv[1])) as requests:
-        program = serve_forks(requests, _compile_missing_laws)
+        program = serve_forks(requests, _compile_missing_laws, _preload_swarm)
     if program is not None:
         program.run()
 
@@ -35,6 +37,19 @@ def _compile_missing_laws() -> None:
     if KERNEL_QUEUE.count_waiting():
         KERNEL_QUEUE.compile()
         _fly_once()
+
+
+def _preload_swarm(request: ForkRequest) -> bool:
+    """Read the swarm file of an agent, and return whether that was done now for the first time."""
+    from crazychoir.launch.process.preloading import PRELOADED_SWARMS
+    from crazychoir.launch.processes import AGENT_MODULE, SWARM_OPTION
+
+    if request.module != AGENT_MODULE or SWARM_OPTION not in request.words:
+        return False
+    path = request.words[request.words.index(SWARM_OPTION) + 1]
+    with contextlib.suppress(Exception):  # the agent reports its error
+        return PRELOADED_SWARMS.preload(path)
+    return False
 
 
 def _fly_once() -> None:
@@ -50,6 +65,7 @@ def _import_agent() -> None:
 
     import crazychoir.cli.shared.chosen_swarm
     import crazychoir.guidance.mission
+    import crazychoir.launch.process.preloading
     import crazychoir.launch.process.process
     import crazychoir.launch.process.warm_flight
     import crazychoir.launch.processes  # noqa: F401

@@ -87,12 +87,16 @@ class ForkedProgram:
 
 
 def serve_forks(
-    requests: socket.socket, prepare: Callable[[], None]
+    requests: socket.socket,
+    prepare: Callable[[], None],
+    preload: Callable[[ForkRequest], bool],
 ) -> ForkedProgram | None:
     """Fork a process for each request until the run has ended.
 
     requests: socket with the requests of the run
     prepare: loads what all processes need; called before the first request is answered
+    preload: loads what the process of a request needs and later ones need too, if it is not loaded;
+        returns whether it has loaded anything
     Returns in each forked process the program that it is to run; close `requests` before. Returns None
     in the server, at its end.
     """
@@ -115,6 +119,8 @@ def serve_forks(
         output, wanted = descriptors
         with os.fdopen(wanted, "rb") as file:
             program = ForkedProgram(ForkRequest.decode(file.read()), output)
+        if preload(program.request):
+            _get_ready_to_fork()
         waiting = _fork_for_adoption(requests, held)
         if waiting is None:
             return program

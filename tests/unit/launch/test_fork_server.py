@@ -28,9 +28,15 @@ def prepare():
     print("prepared", flush=True)
     {prepare}
 
+def preload(request):
+    is_asked = "load tabnanny" in request.words
+    if is_asked:
+        import tabnanny
+    return is_asked
+
 end_after_parent()
 with socket.socket(fileno=int(sys.argv[1])) as requests:
-    program = serve_forks(requests, prepare)
+    program = serve_forks(requests, prepare, preload)
 if program is not None:
     program.run()
 """
@@ -411,6 +417,17 @@ async def test_server_is_prepared_once_before_its_first_process(write_program):
                 await child.wait()
             os.kill(server.pid, signal.SIGKILL)
             assert await output.read() == b""
+
+
+async def test_process_and_later_ones_have_what_the_server_loads_for_its_request(
+    write_program,
+):
+    write_program("print('tabnanny' in sys.modules)")
+    with ForkServer() as server:
+        for words, is_there in (((), False), (("load tabnanny",), True), ((), True)):
+            child = await server.start("small_program", *words)
+            assert await child.stdout.read() == f"{is_there}\n".encode()
+            await child.wait()
 
 
 async def test_cancelled_start_leaves_no_process(write_program):
