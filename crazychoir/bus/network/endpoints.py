@@ -18,7 +18,7 @@ class ZenohSettings:
     max_message_bytes: int = 8 << 20
     """Bytes that Zenoh assembles from fragments; a larger message ends the link to its sender.
     """
-    local_lease: float = 10.0
+    local_lease: float = 30.0
     """s: least lease if all processes are on one host, because 4
     keep-alives for each lease and connection cost CPU time.
     """

@@ -84,7 +84,7 @@ class Greeter:
         """
         tick = 0
         async for _ in self._bus.clock.ticks(
-            HELLO_TIMING.asking_rate * MESSAGE_TOPICS.hello.rate
+            HELLO_TIMING.asking_rate * MESSAGE_TOPICS.hello.rate, aligned=True
         ):
             tick += 1
             self._table.offer_new_ports()

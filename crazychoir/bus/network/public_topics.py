@@ -25,6 +25,10 @@ class Announcer(Protocol):
         """Publish a text under choir/<swarm>/drone/<drone>/<topic>."""
 
 
+AUDIENCE_RATE = 2.0
+"""Looks for readers of public topics, Hz. No topic is published less often."""
+
+
 class PublicCopies(Actor):
     """Publishes JSON copies of the public topics of the drones of a process, while others read them.
 
@@ -47,16 +51,27 @@ class PublicCopies(Actor):
         """Publish new values at the public rate of each topic.
 
         The drones offer their present values, so that they need not publish them in each tick.
+        While no other program reads, this process only looks for readers.
         """
-        fastest = max(topic.public for topic in self._topics)
-        tick = 0
-        async for _ in self.bus.clock.ticks(fastest):
-            for topic in self._topics:
-                is_due = tick % round(fastest / topic.public) == 0
-                if is_due and self.announcer.has_audience(topic.name):
+        async for _ in self.bus.clock.ticks(AUDIENCE_RATE, aligned=True):
+            read = [
+                topic
+                for topic in self._topics
+                if self.announcer.has_audience(topic.name)
+            ]
+            if read:
+                await self._publish_until_next_look(read)
+
+    async def _publish_until_next_look(self, read: Sequence[Topic]) -> None:
+        """Publish new values of topics with readers, until it is time to look for readers again."""
+        fastest = max(topic.public for topic in read)
+        for step in range(max(1, round(fastest / AUDIENCE_RATE))):
+            if step:
+                await self.bus.clock.sleep(1.0 / fastest)
+            for topic in read:
+                if step % round(fastest / topic.public) == 0:
                     for drone in self.ids:
                         self._publish(topic, drone)
-            tick += 1
 
     def _publish(self, topic: Topic, drone: int) -> None:
         """Publish the present value of a topic of a drone, if there is a new one."""

@@ -477,7 +477,7 @@ def test_malformed_endpoints_are_named(wrong: str) -> None:
 def test_the_lease_is_for_other_hosts() -> None:
     lease = "transport/link/tx/lease"
     near, far = ["tcp/127.0.0.1:7460"], ["tcp/[::1]:7461", "tls/lab.local:7462?rel=1"]
-    assert endpoints.zenoh_settings(near, far[:1], 1.0)[lease] == 10_000
+    assert endpoints.zenoh_settings(near, far[:1], 1.0)[lease] == 30_000
     assert endpoints.zenoh_settings(near, far, 1.0)[lease] == 1_000
 
 

@@ -14,14 +14,42 @@ from crazychoir.types import State
 class Announcer:
     """A session with other programs, which read states."""
 
-    def __init__(self):
+    def __init__(self, read=("state",)):
         self.places = []
+        self.read = read
+        self.looks = 0
 
     def has_audience(self, name):
-        return name == "state"
+        self.looks += name == "state"
+        return name in self.read
 
     def announce(self, drone, name, payload):
         self.places.append(json.loads(payload)["p"][0])
+
+
+@virtual
+async def test_without_readers_a_process_wakes_only_to_look_for_them(clock):
+    bus = Bus(clock)
+    bus.port(0)
+    announcer = Announcer(read=())
+    copies = asyncio.create_task(PublicCopies(bus, announcer, [0]).run())
+    await clock.sleep(10.1)
+    copies.cancel()
+    assert announcer.looks in (20, 21)
+
+
+@virtual
+async def test_a_topic_with_readers_is_published_at_its_rate(clock):
+    bus = Bus(clock)
+    port = bus.port(0)
+    announcer = Announcer()
+    port.latched.offer(
+        DRONE_TOPICS.state, lambda: State.at((clock.now(), 0.0, 0.0)), lambda: 0.0
+    )
+    copies = asyncio.create_task(PublicCopies(bus, announcer, [0]).run())
+    await clock.sleep(10.05)
+    copies.cancel()
+    assert len(announcer.places) in (95, 96)
 
 
 @virtual
