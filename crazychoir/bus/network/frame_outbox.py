@@ -86,7 +86,10 @@ class FrameOutbox:
 
     def _open_queue(self, peer: Peer, klass: MessageClass) -> PeerQueue:
         """Open the queue of a class to a peer."""
-        publisher = self._session.declare_publisher(peer.process, klass)
+        is_here = peer.host == self._session.keys.host
+        publisher = self._session.make_publisher(
+            peer.process, klass, is_occasional=is_here
+        )
         conflate = klass is MessageClass.CONTROL
         name = self._session.keys.process
         buffer = FrameBuffer(name, self._incarnation, klass, conflate)

@@ -127,6 +127,21 @@ class FramePublisher(Protocol):
         """Give the way up."""
 
 
+@dataclass(frozen=True, slots=True)
+class OccasionalPublisher:
+    """A way of frames for which nothing is declared: it costs other processes nothing while it is not used.
+
+    Zenoh tells each process of the swarm of each publisher. Between the processes of one host frames
+    go through Zenoh only until their socket is connected.
+    """
+
+    put: Callable[[bytes], None]
+    """Send a frame."""
+
+    def undeclare(self) -> None:
+        """Give the way up."""
+
+
 ReceiveSample = Callable[[FrameSample], None]
 """Callable that gets each frame, in a thread of Zenoh. It must not block."""
 ReceiveToken = Callable[[str, bool], None]
@@ -250,13 +265,18 @@ class ZenohSession:
 
     # Declaring ------------------------------------------------------------------------
 
-    def declare_publisher(self, process: str, klass: MessageClass) -> FramePublisher:
+    def make_publisher(
+        self, process: str, klass: MessageClass, *, is_occasional: bool
+    ) -> FramePublisher:
         """Return a publisher for the frames of a class to another process.
 
+        is_occasional: whether few frames are expected
         Raises RuntimeError if the session is not open.
         """
         if self._session is None:
             raise RuntimeError("the Zenoh session is not open")
+        if is_occasional:
+            return OccasionalPublisher(self._bind_put(self._session, process, klass))
         return self._session.declare_publisher(
             self.keys.frame_to(process, klass),
             congestion_control=zenoh.CongestionControl.DROP,
@@ -303,13 +323,18 @@ class ZenohSession:
         """
         if self._session is None:
             return False
-        put = partial(
-            self._session.put,
+        return self.send(self._bind_put(self._session, process, klass), frame)
+
+    def _bind_put(
+        self, session: zenoh.Session, process: str, klass: MessageClass
+    ) -> Callable[[bytes], None]:
+        """Return a function that sends a frame to a process without a publisher."""
+        return partial(
+            session.put,
             self.keys.frame_to(process, klass),
             congestion_control=zenoh.CongestionControl.DROP,
             priority=_CLASS_PRIORITIES[klass],
         )
-        return self.send(put, frame)
 
     def put(self, key: str, data: bytes | str) -> None:
         """Send data to all subscribers of a key, if the session is open.

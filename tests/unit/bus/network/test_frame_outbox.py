@@ -38,10 +38,12 @@ class NotedSession:
         self.is_open = True
         self.refuses = False
         self.publishers = []
+        self.declared = []
         self.apart = []
 
-    def declare_publisher(self, process, klass):
+    def make_publisher(self, process, klass, *, is_occasional):
         self.publishers.append(NotedPublisher(klass))
+        self.declared += [] if is_occasional else [process]
         return self.publishers[-1]
 
     def send(self, put, frame):
@@ -149,6 +151,17 @@ async def test_frames_to_a_connected_process_go_through_its_socket(sending):
     sending.outbox.flush()
     assert (len(sending.sockets.frames), sending.numbers) == (1, [[2]])
     assert sending.counters.frames_sent == 2
+
+
+@pytest.mark.parametrize(("host", "count"), [("a", 0), ("b", 1)])
+async def test_nothing_is_declared_for_frames_to_a_process_of_the_host(
+    sending, host, count
+):
+    sending.peer.host = host
+    sending.add(1)
+    sending.outbox.flush()
+    assert len(sending.session.declared) == count
+    assert sending.numbers == [[1]]
 
 
 async def test_frames_that_do_not_leave_are_not_counted_as_sent(sending):

@@ -113,7 +113,7 @@ async def test_a_session_that_is_not_open_sends_nothing():
     assert not session.has_audience("state")
     assert session.connected_programs() == []
     with pytest.raises(RuntimeError, match="not open"):
-        session.declare_publisher("1-1", MessageClass.ROUNDS)
+        session.make_publisher("1-1", MessageClass.ROUNDS, is_occasional=True)
     await session.close()
     assert session._counters.tokens == 0
 
