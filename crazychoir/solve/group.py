@@ -13,6 +13,9 @@ from typing import Any, Self
 
 from crazychoir.files.path_texts import child_environment
 
+EXIT_LOOK_PERIOD = 1.0
+"""s without an answer after which the programs are asked whether they still run."""
+
 
 class ProgramEnded(TimeoutError):
     """A program has ended before its answer.
@@ -93,9 +96,7 @@ class ProgramGroup:
         ends = time.perf_counter() + patience
         for done in range(count):
             try:
-                number, line = self._lines.get(
-                    timeout=max(0.0, ends - time.perf_counter())
-                )
+                number, line = self._next_line(ends)
             except queue.Empty:
                 raise TimeoutError(
                     f"{count - done} of {count} processes {complaint} in {patience:g} s"
@@ -103,6 +104,25 @@ class ProgramGroup:
             if not line:
                 raise ProgramEnded(number, self._last_words[number])
             yield number, json.loads(line)
+
+    def _next_line(self, ends: float) -> tuple[int, str]:
+        """Return the number of a program and its next answer, "" if it has ended.
+
+        The output of a program that has ended stays open while a process that it has started lives.
+
+        ends: s, end of the wait on the clock of perf_counter
+        Raises queue.Empty at the end of the wait.
+        """
+        while True:
+            rest = max(0.0, ends - time.perf_counter())
+            try:
+                return self._lines.get(timeout=min(rest, EXIT_LOOK_PERIOD))
+            except queue.Empty:
+                for number, process in enumerate(self._processes):
+                    if process.poll() is not None:
+                        return number, ""
+                if rest <= EXIT_LOOK_PERIOD:
+                    raise
 
     def __exit__(self, *exception: object) -> None:
         for process in self._processes:

@@ -34,7 +34,7 @@ from crazychoir.routing.distributed.plain_loop import (
     compile_routing_kernels,
     make_member,
 )
-from crazychoir.routing.instance.instance import Instance
+from crazychoir.routing.instance.instance import Instance, LocalProblem
 from crazychoir.runtime.clock import NS_PER_SECOND, Clock, run_wall
 from crazychoir.team.algorithm_run import run_algorithm
 from crazychoir.team.communicator import Communicator
@@ -160,7 +160,7 @@ class SolverProcess:
             spec["process"],
             "solve",
         )
-        await clock.compute(compile_routing_kernels, instance.local(0), spec["method"])
+        await self._load_kernels(instance.local(0))
         neighbors = {j: links.neighbors(j) for j in links.ids}
         for i in spec["mine"]:
             agent = make_member(
@@ -188,6 +188,15 @@ class SolverProcess:
             if serving is not None:
                 serving.cancel()
 
+    async def _load_kernels(self, problem: LocalProblem) -> None:
+        """Load the kernels, or compile them, and report meanwhile: a slow machine takes minutes."""
+        async with asyncio.TaskGroup() as group:
+            reporting = group.create_task(self._keep_reporting())
+            await self._clock.compute(
+                compile_routing_kernels, problem, self.spec["method"]
+            )
+            reporting.cancel()
+
     async def _work(self) -> None:
         """Obey the orders of the parent, and report progress until the end.
 
@@ -201,9 +210,11 @@ class SolverProcess:
     async def _keep_reporting(self) -> None:
         while True:
             await self._clock.sleep(self.spec["report_period"])
-            if self._go_ns:
-                with self._lock:
+            with self._lock:
+                if self._go_ns:
                     self._report_progress()
+                elif not self.robots:
+                    write_line({"loads": True})
 
     async def _obey_orders(self) -> None:
         clock = self._clock

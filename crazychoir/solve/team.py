@@ -34,10 +34,10 @@ from crazychoir.solve.interruption import Interruption
 from crazychoir.solve.solve_options import DEFAULT_SOLVE_OPTIONS, SolveOptions
 from crazychoir.team.graph import Graph, describe_ids, graph_from_name
 
-START_DEADLINE = 300.0
-"""s until all processes have found each other and loaded their kernels.
+START_PATIENCE = 300.0
+"""s until all processes have found each other, after the last of them has loaded its kernels.
 
-Kernels are compiled at the first use.
+Kernels are compiled at the first use. A process that compiles reports that it still does.
 """
 ROUND_DEADLINE = 600.0
 """s of a round, in which the slowest robot makes its longest step."""
@@ -48,7 +48,7 @@ SHOWN_REPORT_PERIOD = 0.25
 REPORT_PERIOD = 10.0
 """s between two reports of a process if its progress is not shown."""
 REPORT_PATIENCE = 300.0
-"""s without a report of any process until the team is given up; they report in long steps too."""
+"""s without a report of a process until the team is given up; it reports in long steps too."""
 
 Progress = dict[int, tuple[str, int, float | None, float | None]]
 """{robot: (phase, round, cost of the best plan in m, lower bound in m)}; None if unknown."""
@@ -132,7 +132,8 @@ def solve_in_processes(
             ProgramGroup(_build_commands(parts, common | {"base": base})) as group,
         ):
             run = SolverRun(group, parts, watch or (lambda progress: None))
-            run.wait("ready", START_DEADLINE, "do not find each other")
+            run.wait("ready", START_PATIENCE, "do not find each other")
+            run.expect_reports()
             started = time.perf_counter() - began
             group.tell("go")
             with (interruption or Interruption()).telling(lambda: group.tell("stop")):
@@ -151,11 +152,12 @@ def solve_in_processes(
 class SolverRun:
     """The answers of the processes, in order; raises ProcessFailed if something goes wrong.
 
-    Each process reports its progress, so that only a team without any progress is given up.
+    Each process reports its progress, so that a team is never given up while all of it works.
 
     group: the processes
     parts: the robots of each process
     watch: called with the progress of all robots
+    now: returns the time in s
     """
 
     def __init__(
@@ -163,17 +165,27 @@ class SolverRun:
         group: ProgramGroup,
         parts: list[list[int]],
         watch: Callable[[Progress], None],
+        now: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._group = group
         self._parts = parts
         self._watch = watch
+        self._now = now
         self._progress: Progress = {}
+        self._heard_at: dict[int, float] = {}
+
+    def expect_reports(self) -> None:
+        """Let the team be given up from now on if a single process is silent.
+
+        Before, while processes compile and wait for each other, any answer will do.
+        """
+        self._heard_at = dict.fromkeys(range(len(self._parts)), self._now())
 
     def wait(self, key: str, patience: float, complaint: str) -> list[Any]:
         """Return this answer of every process.
 
         key: name of the answer
-        patience: s, longest time without any answer
+        patience: s, longest time without an answer; see `expect_reports`
         complaint: what the missing processes have not done, for the error text
         """
         found: dict[int, Any] = {}
@@ -186,17 +198,28 @@ class SolverRun:
 
     def _heard(self, patience: float, complaint: str) -> Iterator[Answer]:
         while True:
+            rest = patience
+            if self._heard_at:
+                silent = min(self._heard_at, key=self._heard_at.__getitem__)
+                rest -= self._now() - self._heard_at[silent]
             try:
-                yield from map(self._look, self._group.answers(1, patience, complaint))
+                yield from map(self._look, self._group.answers(1, rest, complaint))
             except ProgramEnded as error:
                 raise ProcessFailed(
                     f"robots {describe_ids(self._parts[error.number])}", str(error)
                 ) from None
             except TimeoutError as error:
-                raise ProcessFailed("the team's processes", str(error)) from None
+                if not self._heard_at:
+                    raise ProcessFailed("the team's processes", str(error)) from None
+                raise ProcessFailed(
+                    f"robots {describe_ids(self._parts[silent])}",
+                    f"their process has not reported for {patience:g} s. Is it stopped?",
+                ) from None
 
     def _look(self, heard: Answer) -> Answer:
         number, answer = heard
+        if self._heard_at:
+            self._heard_at[number] = self._now()
         if "compiles" in answer:
             announce_compiling()
         if "warning" in answer:
