@@ -89,6 +89,7 @@ class SharedProblem:
     smoothness: (N,) L_i, Lipschitz constants of the gradients
     modulus: largest m with all f_i m-strongly convex
     optimum: (n,)
+    All arrays are read-only: the problem is shared, see `make_problem`.
     """
 
     def __init__(self, name: str, agents: int, seed: int) -> None:
@@ -113,6 +114,8 @@ class SharedProblem:
         least = squares[:, -1].min() if bound == 1.0 else 0.0
         self.modulus = float(least) + shape.ridge
         self.optimum = self._find_optimum()
+        for kept in (self.rows, self.values, self.smoothness, self.optimum):
+            kept.setflags(write=False)
         self._locals: dict[int, CostCoupled] = {}
 
     def gradient(self, i: int, x: Vec) -> Vec:

@@ -1,6 +1,7 @@
 """One robot as a member of its team: its place in the graph, its problem, and its progress."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 
@@ -240,7 +241,7 @@ class RoutingMember:
 
     Before the robots have introduced themselves it covers only this robot.
     """
-    alike: dict[int, tuple[int, ...]] = field(default_factory=dict)
+    alike: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
     """Groups of identical robots, by the lowest id; that robot prices routes for the group.
 
     Before the robots have introduced themselves each robot is a group of its own.

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from weakref import WeakValueDictionary
 
 from crazychoir.routing.distributed.clusters import Neighbors
@@ -57,9 +58,11 @@ class TeamKnowledge:
         return max(bound_reach(robot) for robot in self.robots.values())
 
     @cached_property
-    def alike(self) -> dict[int, tuple[int, ...]]:
+    def alike(self) -> Mapping[int, tuple[int, ...]]:
         """Groups of identical robots, by the lowest id."""
-        return {same[0]: same for same in group_equal_robots(self.robots)}
+        return MappingProxyType(
+            {same[0]: same for same in group_equal_robots(self.robots)}
+        )
 
 
 def recall_knowledge(
@@ -78,7 +81,7 @@ def recall_knowledge(
     key = (tasks, objective, descriptions)
     known = _KNOWN_TEAMS.get(key)
     if known is None:
-        known = TeamKnowledge(decode())
+        known = TeamKnowledge(MappingProxyType(dict(decode())))
         _KNOWN_TEAMS[key] = known
     return known
 

@@ -43,7 +43,10 @@ VEHICLES_FIRST = (OBJECTIVE_NAMES.vehicles, OBJECTIVE_NAMES.total)
 
 @dataclass(frozen=True, eq=False)
 class Tasks:
-    """The public list of tasks; M tasks, each with a pickup and a delivery."""
+    """The public list of tasks; M tasks, each with a pickup and a delivery.
+
+    What is computed from the tasks is computed once for all robots of a process, and is read-only.
+    """
 
     pickup: Mat
     """(M, 2) or (M, 3) m: where each task is picked up."""
@@ -104,7 +107,7 @@ class Tasks:
             same = (self.priority == p) & refusable
             cost[same] += weight
             weight *= 1 + int(same.sum())
-        return cost
+        return _freeze(cost)
 
     def to_json(self) -> dict[str, Any]:
         """Return a JSON object of all fields, on which all robots must agree."""
@@ -128,12 +131,12 @@ class Tasks:
     @cached_property
     def stops(self) -> Mat:
         """(2M, d) m: the pickups, then the deliveries."""
-        return np.vstack([self.pickup, self.delivery])
+        return _freeze(np.vstack([self.pickup, self.delivery]))
 
     @cached_property
     def between(self) -> Mat:
         """(2M, 2M) m: Euclidean distances between stops."""
-        return measure_distances(self.stops, self.stops)
+        return _freeze(measure_distances(self.stops, self.stops))
 
     def durations(self, speed: float) -> Mat:
         """Return `measure_durations` between stops, (2M, 2M) s, by the Euclidean distances.
@@ -142,7 +145,7 @@ class Tasks:
         """
         known = self._durations.get(speed)
         if known is None:
-            known = self.service[:, None] + self.between / speed
+            known = _freeze(self.service[:, None] + self.between / speed)
             self._durations[speed] = known
         return known
 
@@ -587,6 +590,12 @@ class Instance:
             raise InstanceError(
                 f"{self.name}: priority", found, allowed, "Use fewer levels."
             )
+
+
+def _freeze(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the same array, read-only."""
+    values.setflags(write=False)
+    return values
 
 
 def _convert_to_json(value: Any) -> Any:

@@ -26,6 +26,7 @@ from crazychoir.optimization.problems.shared_problem import (
     PROBLEM_NAMES,
     PROBLEM_SHAPE,
     SharedProblem,
+    make_problem,
 )
 
 OWN = """
@@ -56,6 +57,15 @@ def own(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "own.py").write_text(OWN)
     return tmp_path
+
+
+@pytest.mark.parametrize("name", PROBLEM_NAMES)
+def test_a_kept_problem_cannot_be_changed(name):
+    problem = make_problem(name, 4, 2)
+    assert make_problem(name, 4, 2) is problem
+    for array in (problem.rows, problem.values, problem.smoothness, problem.optimum):
+        with pytest.raises(ValueError, match="read-only"):
+            array += 1.0
 
 
 @pytest.mark.parametrize("name", PROBLEM_NAMES)

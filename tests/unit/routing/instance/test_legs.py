@@ -40,3 +40,11 @@ def test_bounds_and_lengths_need_no_matrix_of_a_robot():
     vehicle.finish([0, 5])
     assert vehicle.servable.size
     assert not any("whole" in vars(legs) for legs in (vehicle.ways, vehicle.times))
+
+
+def test_what_robots_share_cannot_be_changed():
+    tasks = random_instance(3, 5, seed=1).tasks
+    shared = (tasks.stops, tasks.between, tasks.refusal, tasks.durations(2.0))
+    for values in shared:
+        with pytest.raises(ValueError, match="read-only"):
+            values += 1.0
