@@ -90,11 +90,14 @@ def find_fitting_gap(
 
     near: the columns of this robot within a gap in m; None if there are more than a number.
     gaps: m, the first gap to try, and the widest useful gap.
-    Gaps are tried in steps of a factor of 2, and then in GAP_LEVELS equal parts of the last one.
+    Gaps are tried in steps of a factor of 2, then in GAP_LEVELS equal parts of the last one. If a
+    robot alone has more columns within a gap, the interval below that gap is halved until it is
+    shorter than such a part.
     Returns m; 0 if no gap fits.
     """
     gap, widest = gaps
     fitting = 0.0
+    crowded = np.inf
     while gap > member.tolerance(bound.value):
         levels = gap * np.arange(1, GAP_LEVELS + 1) / GAP_LEVELS
         own = near(gap, most)
@@ -106,17 +109,20 @@ def find_fitting_gap(
             member.place.robot, counts, member.place.diameter
         )
         if any(known is None for known in told.values()):
-            if fitting:
-                return fitting
-            gap /= 2.0
+            crowded = gap
+        else:
+            fits = np.sum(list(told.values()), axis=0) <= most
+            if not fits.all():
+                return max(fitting, float(levels[fits].max(initial=0.0)))
+            if gap >= widest:
+                return widest
+            fitting = gap
+        if crowded == np.inf:
+            gap = min(2.0 * gap, widest)
             continue
-        fits = np.sum(list(told.values()), axis=0) <= most
-        if not fits.all():
-            return max(fitting, float(levels[fits].max(initial=0.0)))
-        if gap >= widest:
-            return widest
-        fitting = gap
-        gap = min(2.0 * gap, widest)
+        if crowded - fitting <= crowded / GAP_LEVELS:
+            return fitting
+        gap = (fitting + crowded) / 2.0
     return fitting
 
 

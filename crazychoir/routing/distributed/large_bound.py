@@ -167,8 +167,17 @@ class LargeBound:
         least = BOUND_PASSES.final_gap * max(1.0, abs(relaxed))
         if self._member.vehicle_weight:
             return least
-        open_gap = math.fsum(column.length for _, column in self._plan) - best
+        open_gap = self._plan_cost - best
         return max(least, BOUND_PASSES.final_share * open_gap)
+
+    @property
+    def _plan_cost(self) -> float:
+        """m: cost of the plan, with the tasks that it refuses."""
+        refused = np.array(self._member.local.tasks.refusal)
+        for _, column in self._plan:
+            refused[list(column.tasks)] = 0.0
+        lengths = (column.length for _, column in self._plan)
+        return math.fsum([*lengths, *refused[np.isfinite(refused)]])
 
     def _listed(self) -> HalfRoutes | None:
         """Return all half-routes of this robot, None if there are too many."""

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -7,6 +8,7 @@ from crazychoir.bus.codec import decode, encode
 from crazychoir.errors import SolverError
 from crazychoir.routing.distributed import large_bound, proof
 from crazychoir.routing.distributed import robot_profile as introduction
+from crazychoir.routing.distributed.bound import Bound, find_fitting_gap
 from crazychoir.routing.distributed.cluster_problem import (
     bound_saving,
     measure_route,
@@ -176,6 +178,8 @@ def test_robots_of_a_process_that_were_told_the_same_hold_one_object(graph):
         [introduce_robots(member) for member in members(instance, links)], links
     )
     assert all(other is one for other in others)
+    with pytest.raises(TypeError, match="does not support item assignment"):
+        one.robots[0] = instance.local(1)
 
 
 def test_robots_of_a_process_that_were_told_different_things_hold_different_objects(
@@ -803,6 +807,38 @@ def test_the_passes_of_a_bound_end_sooner_for_a_plan_that_is_far_from_it(
     (calls_exact, exact), (calls_early, early) = found
     assert calls_early < calls_exact
     assert exact - 0.1 * (90.0 - early) - 1e-4 * exact <= early <= exact + 1e-9
+
+
+def test_a_plan_that_leaves_tasks_out_is_as_far_from_the_bound_as_it_costs(graph):
+    shape = InstanceShape(route_length_limit=27.0, fields={"penalty": [40.0] * 7})
+    instance = random_instance(4, 7, 2, shape)
+    plan = [(0, RouteColumn(90.0, (0, 1)))]
+    member = members(instance, graph("ring", 4))[0]
+    gap = LargeBound(member, plan)._final_gap(100.0, 80.0)
+    assert gap == pytest.approx(0.01 * (90.0 + 5 * 40.0 - 80.0))
+
+
+@pytest.mark.parametrize(
+    ("most", "least", "below"), [(15, 1.5, 1.61), (3, 0.25, 0.4), (200, 8.0, 8.0)]
+)
+def test_the_widest_gap_with_few_columns_is_found_where_one_robot_has_too_many(
+    most, least, below
+):
+    """The robot has a column every 0.1 m above the bound."""
+
+    def near(gap, most):
+        found = [RouteColumn(0.1 * k, (0,)) for k in range(1, 200) if 0.1 * k <= gap]
+        return found if len(found) <= most else None
+
+    member = SimpleNamespace(
+        tolerance=lambda value: 1e-6, place=SimpleNamespace(robot=0, diameter=0)
+    )
+    bound = Bound(100.0, np.zeros(1), least={0: 0.0})
+    search = find_fitting_gap(bound, member, near, (1.0, 8.0), most)
+    with pytest.raises(StopIteration) as end:
+        next(search)
+    assert least <= end.value.value <= below
+    assert len(near(end.value.value, most)) <= most
 
 
 @pytest.mark.parametrize(("seed", "most"), [(1, 6), (2, 6), (2, 20)])
