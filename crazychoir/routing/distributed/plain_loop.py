@@ -128,11 +128,12 @@ def join_solutions(instance: Instance, solutions: Iterable[Solution]) -> Solutio
     plan = instance.plan(
         {route.robot: route for part in parts for route in part.routes}.values()
     )
+    found = plan.digest
     for digest in [part.plan_digest for part in parts]:
-        if digest != plan.digest:
+        if digest != found:
             raise SolverError(
                 "joining the robots' routes",
-                f"digest {digest[:12]} announced, {plan.digest[:12]} found",
+                f"digest {digest[:12]} announced, {found[:12]} found",
             )
     sent = Counter[str]()
     for part in parts:

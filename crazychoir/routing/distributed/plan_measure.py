@@ -32,6 +32,7 @@ class PlanMeasure:
         self._refusal = one.tasks.refusal
         self._objective = one.objective
         self._costs: dict[tuple[int, tuple[int, ...]], tuple[float, float]] = {}
+        self._last: tuple[object, list[float]] = (None, [])
 
     def compute_worth(
         self, routes: Stops, tasks: Sequence[int] | None = None
@@ -40,7 +41,19 @@ class PlanMeasure:
 
         routes: nodes of each robot's stops.
         tasks: only these tasks count as left out; all if None.
+        The last worth is kept: the robots of a process measure the same plan, one after the other.
         """
+        plan = tuple((i, tuple(routes[i])) for i in sorted(routes))
+        key = (plan, None if tasks is None else tuple(tasks))
+        last = self._last
+        if last[0] != key:
+            last = (key, self._compute_worth_anew(routes, tasks))
+            self._last = last
+        return list(last[1])
+
+    def _compute_worth_anew(
+        self, routes: Stops, tasks: Sequence[int] | None
+    ) -> list[float]:
         left = [
             j
             for j in list_unserved_tasks(routes, self._m)

@@ -75,3 +75,14 @@ def test_worths_are_compared_at_the_first_difference():
     assert not is_better([0.0, 5.0], [0.0, 5.0 + 1e-12])
     assert is_better([0.0, 5.0, 1.0], [0.0, 5.0 + 1e-12, 2.0])
     assert not is_better([np.inf], [3.0])
+
+
+def test_a_plan_that_is_changed_in_place_is_measured_anew():
+    measure = measure_of()
+    routes = {0: [0, 2], 1: [1, 3]}
+    both = measure.compute_worth(routes)
+    both[0] = 7.0  # a caller's own list
+    assert measure.compute_worth(routes)[0] == 0.0
+    routes[1].clear()
+    assert measure.compute_worth(routes)[:2] == pytest.approx([1.0, 4.0])
+    assert measure.compute_worth(routes, tasks=[0])[0] == 0.0
