@@ -28,8 +28,28 @@ def flood_values(robot: int, value: Any, diameter: int) -> Exchange[dict[int, An
     value: value of this robot
     diameter: rounds of the exchange
     """
-    known = {robot: value}
-    news = [[robot, value]]
+    return (yield from _flood(robot, {robot: value}, diameter))
+
+
+def flood_offers(
+    robot: int, offer: Any | None, diameter: int
+) -> Exchange[dict[int, Any]]:
+    """Return the offers of all robots that make one, by robot id in increasing order.
+
+    A robot without an offer sends nothing of its own, so that few offers cost few bytes.
+
+    robot: id of this robot
+    offer: offer of this robot, or None
+    diameter: rounds of the exchange
+    """
+    own = {} if offer is None else {robot: offer}
+    return (yield from _flood(robot, own, diameter))
+
+
+def _flood(robot: int, own: dict[int, Any], diameter: int) -> Exchange[dict[int, Any]]:
+    """Return what all robots know at the start, by robot id; `own` is what this robot knows."""
+    known = dict(own)
+    news = [[origin, item] for origin, item in own.items()]
     for k in range(diameter):
         heard = yield news
         news = []
@@ -50,11 +70,15 @@ def find_best_offer(
 ) -> Exchange[list[Any] | None]:
     """Return the offer with the least (offer[0], offer[1]), or None if no robot makes an offer.
 
+    A robot sends an offer once, in the round after it has become the best that the robot knows.
+
     offer: [cost, robot id, ...], or None
     """
     best = offer
+    news = offer
     for k in range(diameter):
-        heard = yield best
+        heard = yield news
+        news = None
         for j, other in heard.items():
             try:
                 better = other is not None and (
@@ -66,6 +90,7 @@ def find_best_offer(
                 ) from None
             if better:
                 best = other
+                news = other
     return best
 
 

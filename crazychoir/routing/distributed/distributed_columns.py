@@ -7,7 +7,11 @@ from typing import Any
 import numpy as np
 
 from crazychoir.errors import SolverError
-from crazychoir.optimization.rounds.agreement import find_best_offer, flood_values
+from crazychoir.optimization.rounds.agreement import (
+    find_best_offer,
+    flood_offers,
+    flood_values,
+)
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.cluster_problem import (
     bound_saving,
@@ -196,12 +200,12 @@ class DistributedColumns:
             mine = [
                 self._measure.compute_worth(routes),
                 rank,
-                _flatten_routes(routes),
+                _flatten_routes({i: stops for i, stops in routes.items() if stops}),
             ]
         best = yield from find_best_offer(mine, self._member.place.diameter)
         if best is None:
             raise SolverError(f"robot {self._i}: first plan", "no robot offered one")
-        self.routes = _unflatten_routes(best[2])
+        self.routes = {i: [] for i in self._robots} | _unflatten_routes(best[2])
         self._report_cost()
 
     def _draw_passes(self, early: bool = False) -> Iterator[SearchPass]:
@@ -238,7 +242,7 @@ class DistributedColumns:
             clusters = self._near.draw(
                 self.routes, one.cluster, one.leaders, [one.number]
             )
-            offers = yield from flood_values(
+            offers = yield from flood_offers(
                 self._i, self._lead(clusters, one), self._member.place.diameter
             )
             still = 0 if self._accept(clusters, offers) else still + 1
@@ -285,7 +289,7 @@ class DistributedColumns:
             made = [
                 (list(offers[i][0]), self._order.robot_rank[i], i)
                 for i in cluster.leaders
-                if offers[i] is not None
+                if i in offers
             ]
             if made:
                 self.routes.update(_unflatten_routes(offers[min(made)[2]][1]))

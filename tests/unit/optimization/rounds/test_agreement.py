@@ -6,6 +6,7 @@ from crazychoir.optimization.rounds.agreement import (
     find_best_offer,
     find_greatest,
     find_highest_bids,
+    flood_offers,
     flood_values,
     require_same_everywhere,
 )
@@ -52,6 +53,25 @@ def test_a_flood_one_round_short_misses_one_agent():
     team = graph_from_name("path", 6)
     values, _ = together({i: flood_values(i, i, 4) for i in team.ids}, team)
     assert 5 not in values[0]
+
+
+def test_offers_of_few_agents_reach_all_and_the_others_send_nothing(team):
+    offers = {
+        i: flood_offers(i, "plan" if i in (2, 5) else None, team.diameter())
+        for i in team.ids
+    }
+    assert next(flood_offers(0, None, 3)) == []
+    values, rounds = together(offers, team)
+    assert rounds == team.diameter()
+    assert all(known == {2: "plan", 5: "plan"} for known in values.values())
+
+
+def test_an_offer_is_sent_once():
+    program = find_best_offer([5.0, 0, "a"], 4)
+    assert next(program) == [5.0, 0, "a"]
+    assert program.send({1: [7.0, 1, "b"]}) is None
+    assert program.send({1: [3.0, 2, "c"]}) == [3.0, 2, "c"]
+    assert program.send({1: None}) is None
 
 
 def test_a_flood_sends_each_item_once():
