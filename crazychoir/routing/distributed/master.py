@@ -320,7 +320,8 @@ def find_partition(
         s.t. sum_{c serves j} x_c = 1,  sum_{c of i} x_c <= K_i,  x binary,
              sum_c x_c <= most if it is given
 
-    The search stops after a number of branch-and-bound nodes, never after a time.
+    The search stops after a number of branch-and-bound nodes, never after a time. If they do not
+    suffice the result may be `known` although a cheaper plan exists; the bound is then below its cost.
 
     problem: the columns to choose from.
     seed: of HiGHS.

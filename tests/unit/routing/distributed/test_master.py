@@ -47,6 +47,33 @@ def test_the_partition_is_the_cheapest_exact_cover(columns):
     assert sorted(j for tasks in found.routes.values() for j in tasks) == [0, 1, 2, 3]
 
 
+@pytest.mark.parametrize("nodes", [0, 1, 1000])
+def test_a_plan_that_is_not_the_cheapest_is_not_said_to_be_proven(nodes):
+    random = np.random.default_rng(6)
+    alone = [(j, RouteColumn(3.0, (j,))) for j in range(18)]
+    together = [
+        (
+            int(random.integers(18)),
+            RouteColumn(
+                float(random.uniform(3.0, 4.0)),
+                tuple(sorted(random.choice(18, 3, replace=False).tolist())),
+            ),
+        )
+        for _ in range(200)
+    ]
+    problem = PartitionProblem(alone + together, 18)
+    best = find_partition(problem, seed=0, nodes=100_000)
+    assert best.bound == pytest.approx(best.cost)
+    found = find_partition(
+        problem, seed=0, nodes=nodes, known={j: (j,) for j in range(18)}
+    )
+    assert found.bound <= best.cost + 1e-6
+    assert best.cost <= found.cost + 1e-6
+    if nodes == 0:
+        assert found.cost == pytest.approx(54.0)
+        assert found.bound < found.cost - 1.0
+
+
 def test_the_relaxation_is_below_and_its_prices_are_dual_feasible(columns):
     pool = ColumnPool(4)
     for robot, column in columns:
