@@ -253,6 +253,8 @@ class Peers:
             raise CodecError(
                 f"HELLO of {hello.process} on {hello.host}, sent by {peer.process} on {peer.host}"
             )
+        if is_older(hello, peer.hello):
+            return False
         peer.said = payload
         uptime = hello.uptime + age
         peer.since_ns = peer.since_ns or self.bus.clock.now_ns() - round(
@@ -396,6 +398,15 @@ class Peers:
         ):
             for address in peer.hello.addresses if peer.hello is not None else ():
                 self.directory.setdefault(address, peer)
+
+
+def is_older(hello: Hello, taken: Hello | None) -> bool:
+    """Return whether a HELLO is older than the one that was taken: it came late, another way."""
+    return (
+        taken is not None
+        and hello.incarnation == taken.incarnation
+        and hello.uptime < taken.uptime
+    )
 
 
 def make_hello(bus: Bus, own: Introduction, uptime: float) -> Hello:

@@ -299,6 +299,33 @@ def test_a_hello_that_has_not_changed_is_seldom_repeated_through_a_socket():
     assert run_virtual(greet_each_second) == [True, False, False, True, True, False]
 
 
+def test_a_hello_that_no_socket_carries_is_repeated_each_second():
+    meeting = Meeting()
+    for name in ("0-2", "0-3"):
+        meet(meeting.table, make_hello(name, host="a", drones=[int(name[-1])]))
+    meeting.sockets.connections["0-3"] = "socket"
+
+    async def greet_each_second(clock):
+        meeting.bus.clock = clock
+        running = asyncio.create_task(meeting.greeter.run())
+        greeted = []
+        for second in range(4):
+            await clock.sleep(1.0 if second else 1.1)
+            sent = dict(meeting.outbox.flush())
+            greeted.append([name in sent for name in ("0-2", "0-3")])
+            if second == 1:
+                del meeting.sockets.connections["0-3"]
+        running.cancel()
+        return greeted
+
+    assert run_virtual(greet_each_second) == [
+        [True, True],
+        [True, False],
+        [True, True],
+        [True, True],
+    ]
+
+
 def test_faults_of_the_link_are_shown_within_a_second():
     meeting = Meeting()
     meeting.counters.full = 3

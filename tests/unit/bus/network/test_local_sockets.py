@@ -24,6 +24,7 @@ from crazychoir.bus.network.local_connection import (
     LAST_PIECE_MARK,
     PACKET_HEAD,
     PIECE_MARK,
+    LeavingFrame,
 )
 from crazychoir.bus.network.local_sockets import MOST_STRANGERS, LocalSockets
 from crazychoir.bus.topics import MessageClass
@@ -98,6 +99,16 @@ async def connect(one: End, two: End) -> None:
             names[1] in one.sockets.connections and names[0] in two.sockets.connections
         )
     )
+
+
+async def test_no_frame_overtakes_one_that_is_leaving(ends):
+    a, b = ends("a"), ends("b")
+    await connect(a, b)
+    connection = a.sockets.connections["b"]
+    assert connection.send_at_once(VERSION + b"1")
+    connection.leaving = LeavingFrame(VERSION + b"2", time.monotonic_ns())
+    assert not connection.send_at_once(VERSION + b"3")
+    connection.leaving = None
 
 
 async def test_frames_go_both_ways_in_order(ends):

@@ -132,6 +132,14 @@ def test_a_peer_is_known_from_token_to_token(here: Here) -> None:
     assert here.tokens == [([1], True), ([1], False)]
 
 
+def test_a_hello_that_comes_after_a_newer_one_is_left_out(here: Here) -> None:
+    here.hear(hello(drones=(2, 3), uptime=2.0))
+    assert here.hear(hello(drones=(2,), uptime=1.5)) is False
+    assert set(here.peers.directory) == {2, 3}
+    here.hear(hello(drones=(2,), uptime=0.1, incarnation=3))
+    assert set(here.peers.directory) == {2}, "it has started again"
+
+
 def test_a_peer_is_there_while_one_of_its_tokens_is(here: Here) -> None:
     here.hear(hello())
     assert here.peers.came("there", "b", "another") is None
