@@ -401,7 +401,7 @@ class Peers:
 
 
 def is_older(hello: Hello, taken: Hello | None) -> bool:
-    """Return whether a HELLO is older than the one that was taken: it came late, another way."""
+    """Return whether a HELLO came late, after a newer one of the same process was taken."""
     return (
         taken is not None
         and hello.incarnation == taken.incarnation

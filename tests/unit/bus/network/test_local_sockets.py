@@ -101,7 +101,7 @@ async def connect(one: End, two: End) -> None:
     )
 
 
-async def test_no_frame_overtakes_one_that_is_leaving(ends):
+async def test_a_frame_does_not_overtake_another_on_its_way_out(ends):
     a, b = ends("a"), ends("b")
     await connect(a, b)
     connection = a.sockets.connections["b"]
