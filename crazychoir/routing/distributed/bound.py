@@ -13,6 +13,7 @@ from crazychoir.routing.distributed.master import ColumnPool
 from crazychoir.routing.distributed.member import RoutingMember
 from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
 from crazychoir.routing.pricing.route_table import RouteColumn
+from crazychoir.routing.pricing.subset_rows import NO_ROWS, PricedRows
 from crazychoir.types import Vec
 
 ROBOT_COUNT_ROUNDING = 1e-6
@@ -29,7 +30,9 @@ class Bound:
         least_i = min(0, min over the columns c of i of  length_c - mu - sum_{j in c} pi_j)
 
     This holds for every pi >= 0 and mu >= 0, because every task is served at least once, and at
-    least n robots leave home. The sum runs over one robot i of each group of K_i identical robots.
+    least n robots leave home. Subset rows add their charges to the lengths, and their value to the
+    bound: it then holds for plans that serve each task at most once. The sum runs over one robot i
+    of each group of K_i identical robots.
     """
 
     value: float = -np.inf
@@ -44,6 +47,8 @@ class Bound:
     """m: least_i of each robot, the idle column included."""
     exact: bool = True
     """Whether all route tables were complete."""
+    rows: PricedRows = NO_ROWS
+    """The subset rows."""
 
     def excess(self, robot: int, column: RouteColumn) -> float:
         """Return a lower bound in m on how far a plan with this column costs above the bound.
@@ -52,7 +57,12 @@ class Bound:
         """
         own = [column.length, -self.reward] if column.tasks else [column.length]
         return math.fsum(
-            [*own, -self.least[robot], *(-self.prices[j] for j in column.tasks)]
+            [
+                *own,
+                -self.least[robot],
+                *(-self.prices[j] for j in column.tasks),
+                self.rows.charge(robot, column.tasks),
+            ]
         )
 
 

@@ -26,6 +26,7 @@ from crazychoir.routing.distributed.clusters import (
     list_served_tasks,
     list_usual_passes,
 )
+from crazychoir.routing.distributed.diving import Dive
 from crazychoir.routing.distributed.gossip import Gossip
 from crazychoir.routing.distributed.infeasibility import explain_missing_tasks
 from crazychoir.routing.distributed.large_bound import LargeBound
@@ -118,20 +119,73 @@ class DistributedColumns:
             or (member.local.tasks.priority > 0).any()
         ):
             return self._assignment(None)
-        weight = member.vehicle_weight
-        plan = []
-        for i, tasks in self._sets().items():
-            cost, _ = self._measure.measure_flight(i, tuple(self.routes[i]))
-            plan.append((i, RouteColumn(weight + cost, tasks)))
-        large = LargeBound(member, plan)
+        large = LargeBound(member, self._columns())
         offer = self._offer()
         yield from large.run()
         if large.value is None or large.relaxation is not None or offer is None:
             return self._assignment(large.value, large.relaxation)
+        yield from self._dive(large)
+        offer = self._offer()
         proof = PlanProof(member, large.pool, large.bound, offer, large.halves)
         yield from proof.search_few(member.settings.proof.large_nodes)
         self._take_over(proof)
         return self._assignment(proof.proven)
+
+    def _dive(self, large: LargeBound) -> Exchange[None]:
+        """Round the relaxation to a plan, then that of one part of the plan after the other.
+
+        Each plan is adopted if it is better than the plan in force. It ends after `still_dives`
+        parts without a gain, or when the plan meets the bound.
+        """
+        member = self._member
+        settings = member.settings.proof
+        member.report(phase="dive")
+        member.kind = "columns"
+        self._adopt((yield from Dive(member, large.pool, large.halves, []).run()))
+        still = 0
+        for number in range(settings.dives):
+            clusters = self._near.draw(
+                self.routes, (len(self._robots), settings.dive_tasks), 1, [number]
+            )
+            for cluster in clusters:
+                cost = self._measure.compute_weighed_cost(self.routes)
+                met = cost - large.bound.value <= member.tolerance(cost)
+                if met or still == settings.still_dives or member.budget.is_over:
+                    return
+                if 2 * len(cluster.tasks) < settings.dive_tasks:
+                    continue
+                fixed = [
+                    column
+                    for column in self._columns()
+                    if column[0] not in cluster.robots
+                ]
+                dive = Dive(member, large.pool, large.halves, fixed)
+                still = 0 if self._adopt((yield from dive.run())) else still + 1
+
+    def _columns(self) -> list[tuple[int, RouteColumn]]:
+        """Return the routes of the plan in force as (robot, column)."""
+        weight = self._member.vehicle_weight
+        columns = []
+        for i, tasks in self._sets().items():
+            cost, _ = self._measure.measure_flight(i, tuple(self.routes[i]))
+            columns.append((i, RouteColumn(weight + cost, tasks)))
+        return columns
+
+    def _adopt(self, sets: Mapping[int, tuple[int, ...]]) -> bool:
+        """Adopt a plan that serves these sets of tasks if it is better than the plan in force."""
+        old = self.routes
+        self.routes = {
+            i: _find_shortest_stops(
+                self._robots[i], sets.get(i, ()), self._member.local.objective
+            )
+            for i in self._robots
+        }
+        worth = self._measure.compute_worth(self.routes)
+        if is_better(worth, self._measure.compute_worth(old)):
+            self._report_cost()
+            return True
+        self.routes = old
+        return False
 
     @property
     def _left_out(self) -> Vec:

@@ -20,6 +20,7 @@ from crazychoir.routing.pricing.reduced_cost import (
     find_least_reduced_cost,
 )
 from crazychoir.routing.pricing.route_table import RouteColumn
+from crazychoir.routing.pricing.subset_rows import NO_ROWS, PricedRows
 from crazychoir.types import Vec
 
 NG_ROUTE = "ng-route"
@@ -49,6 +50,14 @@ class BoundPasses:
 
     A bound that is a little higher would hardly say more about such a plan, but it takes half of
     all passes.
+    """
+    cut_passes: int = 40
+    """Passes with subset rows, at most."""
+    cuts: int = 60
+    """Subset rows that are added in a pass, at most."""
+    cut_share: float = 0.1
+    """Rows are added when the gap between the value of the known columns and the bound is at most
+    this share of that between plan and bound.
     """
 
 
@@ -94,6 +103,8 @@ class LargeBound:
         speaker = {i: same[0] for same in member.alike.values() for i in same}
         self._plan = [(speaker[i], column) for i, column in plan]
         self.halves: HalfRoutes | None = None
+        self._rows = NO_ROWS
+        self._told: dict[int, Any] = {}
         self.bound = Bound()
         self.pool = ColumnPool(len(member.local.tasks))
         self.value: float | None = None
@@ -116,40 +127,19 @@ class LargeBound:
         centre = self._start()
         pi = self._start()
         drawn = True
+        cut_off = False
         for _ in range(settings.columns.passes * 2):
-            known = yield from flood_values(
-                self._i, self._priced(pi), member.place.diameter
-            )
-            told = {i: known[i] for i in member.alike}
-            if any(least == -np.inf for least, _, _ in told.values()):
+            priced = yield from self._price_all(pi)
+            if priced is None:
+                cut_off = True
                 break
-            value = math.fsum(
-                [
-                    *pi,
-                    *(
-                        len(member.alike[i]) * least
-                        for i, (least, _, _) in told.items()
-                    ),
-                ]
-            )
-            self.relaxation = (
-                None if all(exact for _, exact, _ in told.values()) else NG_ROUTE
-            )
-            if value > best:
-                best = value
+            if priced > best:
+                best = priced
                 centre = pi
-                least = {i: float(known) for i, (known, _, _) in told.items()}
-                self.bound = Bound(value, pi, least=least)
-                member.report_bound(value)
-            for i, (_, _, columns) in told.items():
-                self.pool.add(i, unpack_columns(columns))
-            new = sum(
-                master.add(i, unpack_columns(columns))
-                for i, (_, _, columns) in told.items()
-            )
+            new = self._add_told(master)
             if not new and not drawn:
                 break
-            relaxed, prices = yield from self._agree(master)
+            relaxed, prices, _, _ = yield from self._agree(master, 0)
             if relaxed - best <= self._final_gap(relaxed, best):
                 break
             # If mixed prices find no columns, or the gap is small, use the columns' own prices.
@@ -160,7 +150,62 @@ class LargeBound:
                 if drawn
                 else prices
             )
-        self.value = best if best > -np.inf else None
+        if not (cut_off or self.relaxation or member.vehicle_weight):
+            yield from self._cut(master)
+        self.value = self.bound.value if best > -np.inf else None
+
+    def _cut(self, master: Master) -> Exchange[None]:
+        """Raise the bound by subset rows, until no pass finds columns or violated rows."""
+        added = 0
+        new = 1
+        for _ in range(BOUND_PASSES.cut_passes):
+            if self._member.budget.is_over:
+                return
+            relaxed, pi, rows, added = yield from self._agree(master, BOUND_PASSES.cuts)
+            if not (new or added) or self._open_gap <= self._member.tolerance(relaxed):
+                return
+            self._rows = rows
+            if (yield from self._price_all(pi)) is None:
+                return
+            new = self._add_told(master)
+
+    def _price_all(self, pi: Vec) -> Exchange[float | None]:
+        """Price at pi and the present rows, and keep the bound if it is better.
+
+        Returns the bound in m at these prices; None if the pricing of a robot was cut.
+        """
+        member = self._member
+        known = yield from flood_values(
+            self._i, self._priced(pi), member.place.diameter
+        )
+        self._told = {i: known[i] for i in member.alike}
+        if any(least == -np.inf for least, _, _ in self._told.values()):
+            return None
+        saved = [
+            len(member.alike[i]) * least for i, (least, _, _) in self._told.items()
+        ]
+        value = math.fsum([*pi, *saved, self._rows.value])
+        self.relaxation = (
+            None if all(exact for _, exact, _ in self._told.values()) else NG_ROUTE
+        )
+        if value > self.bound.value:
+            least = {i: float(found) for i, (found, _, _) in self._told.items()}
+            self.bound = Bound(value, pi, least=least, rows=self._rows)
+            member.report_bound(value)
+        return value
+
+    def _add_told(self, master: Master) -> int:
+        """Add the columns of the last pass; return how many are new."""
+        new = 0
+        for i, (_, _, columns) in self._told.items():
+            self.pool.add(i, unpack_columns(columns))
+            new += master.add(i, unpack_columns(columns))
+        return new
+
+    @property
+    def _open_gap(self) -> float:
+        """m between the plan and the bound."""
+        return math.fsum(column.length for _, column in self._plan) - self.bound.value
 
     def _final_gap(self, relaxed: float, best: float) -> float:
         """Return the gap in m at which the passes end."""
@@ -217,8 +262,12 @@ class LargeBound:
         batch = member.settings.columns.batch
         most = member.settings.columns.most_labels // 3
         if self.halves is not None:
-            columns = self.halves.cheapest(pi, batch, 0.0)
-            values = [c.length - math.fsum(pi[list(c.tasks)]) for c in columns[:1]]
+            rows = self._rows
+            columns = self.halves.cheapest(pi, batch, 0.0, rows)
+            values = [
+                c.length - math.fsum(pi[list(c.tasks)]) + rows.charge(self._i, c.tasks)
+                for c in columns[:1]
+            ]
             return [min([0.0, *values]), True, pack_columns(columns)]
         if len(vehicle.servable) > MOST_TASKS:
             return [-np.inf, False, pack_columns([])]
@@ -226,13 +275,31 @@ class LargeBound:
         least = min(0.0, bound_reduced_cost(vehicle, pi, found.value, most=most))
         return [least, False, pack_columns(found.columns[:batch])]
 
-    def _agree(self, master: Master) -> Exchange[tuple[float, Vec]]:
-        """Return the value and the prices of the known columns."""
+    def _agree(
+        self, master: Master, cuts: int
+    ) -> Exchange[tuple[float, Vec, PricedRows, int]]:
+        """Return the value of the known columns, their prices and rows, and how many rows are new.
+
+        cuts: rows to add, at most, if the bound is near the value of the known columns.
+        """
         own: list[Any] | None = None
         if self._i < self._member.settings.proof.searchers:
             relaxed = master.relax()
-            own = [relaxed.value, self._i, relaxed.prices]
-        value, _, prices = (
+            added = 0
+            open_gap = self._open_gap
+            if cuts and relaxed.value - self.bound.value <= (
+                BOUND_PASSES.cut_share * open_gap
+            ):
+                added = master.cut(cuts)
+                relaxed = master.relax() if added else relaxed
+            own = [
+                relaxed.value,
+                self._i,
+                relaxed.prices,
+                relaxed.rows.pack(),
+                added,
+            ]
+        value, _, prices, rows, added = (
             yield from find_best_offer(own, self._member.place.diameter)
-        ) or [np.inf, 0, self._start()]
-        return float(value), np.asarray(prices)
+        ) or [np.inf, 0, self._start(), NO_ROWS.pack(), 0]
+        return float(value), np.asarray(prices), PricedRows.unpack(rows), int(added)

@@ -10,6 +10,12 @@ import numpy as np
 from crazychoir.errors import SolverError
 from crazychoir.optimization.problems.linear import make_quiet_highs
 from crazychoir.routing.pricing.route_table import RouteColumn
+from crazychoir.routing.pricing.subset_rows import (
+    NO_ROWS,
+    PricedRows,
+    SubsetRow,
+    find_violated_rows,
+)
 from crazychoir.types import Vec
 
 GOLDEN_RATIO_FRACTION = 0.6180339887498949
@@ -55,6 +61,8 @@ class Relaxation:
     """Sum of x: the number of robots in use, fractions included."""
     reward: float = 0.0
     """m >= 0: reward of each robot in use, if too few robots would be used without it."""
+    rows: PricedRows = NO_ROWS
+    """The subset rows with a price above 0."""
 
 
 @dataclass(frozen=True)
@@ -67,6 +75,8 @@ class PartitionProblem:
     """M, the number of tasks."""
     alike: Mapping[int, Sequence[int]] = field(default_factory=dict)
     """The K_i identical robots, i among them, that can fly a column of i; i alone if absent."""
+    rows: tuple[SubsetRow, ...] = ()
+    """Subset rows, which every plan satisfies: they make the relaxations of the search tighter."""
 
     def with_lengths(self, lengths: Sequence[float]) -> "PartitionProblem":
         """Return the problem with other lengths of its columns, in m."""
@@ -143,6 +153,7 @@ class Master:
         s.t. sum_{c serves j} x_c + v_j >= 1                     : pi_j >= 0
              sum_{c of i} x_c <= K_i                             : sigma_i <= 0,    x >= 0, v >= 0
              sum_c x_c + w >= n, at the cost f w                 : 0 <= mu <= f,    after `at_least`
+             the subset rows                                     : charges >= 0,    after `cut`
 
     penalty: (M,) m, more than any price, or the cost of refusing the task.
     spread: the right-hand sides are raised by up to this, each by a different amount, which is
@@ -164,6 +175,7 @@ class Master:
         self._index: dict[Key, int] = {}
         self._row: dict[int, int] = {}
         self._count: tuple[int, int] | None = None
+        self._cuts: dict[SubsetRow, int] = {}
         for j, price in enumerate(penalty):
             self._highs.addRow(
                 self._raised(j),
@@ -225,15 +237,51 @@ class Master:
 
     def _append(self, row: int, columns: list[RouteColumn]) -> None:
         common = [row] if self._count is None else [row, self._count[0]]
-        rows = [[*column.tasks, *common] for column in columns]
+        robot = self._columns[-1][0]
+        rows = [
+            [
+                *((j, 1) for j in (*column.tasks, *common)),
+                *self._cut_entries(robot, column),
+            ]
+            for column in columns
+        ]
         starts = np.cumsum([0, *(len(r) for r in rows)])[:-1].astype(np.int32)
-        index = np.array([r for column in rows for r in column], dtype=np.int32)
+        index = np.array([r for column in rows for r, _ in column], dtype=np.int32)
+        value = np.array([v for column in rows for _, v in column], dtype=float)
         n = len(columns)
         cost = np.array([column.length for column in columns])
         free = np.full(n, highspy.kHighsInf)
         self._highs.addCols(
-            n, cost, np.zeros(n), free, len(index), starts, index, np.ones(len(index))
+            n, cost, np.zeros(n), free, len(index), starts, index, value
         )
+
+    def _cut_entries(self, robot: int, column: RouteColumn) -> list[tuple[int, int]]:
+        """Return (row, coefficient) of a column in the subset rows."""
+        entries = (
+            (row, cut.coefficient(robot, column.tasks))
+            for cut, row in self._cuts.items()
+        )
+        return [(row, count) for row, count in entries if count]
+
+    def cut(self, most: int) -> int:
+        """Add the subset rows that the last solution violates most; return how many.
+
+        most: rows, at most.
+        """
+        parts = self.parts
+        columns = [(i, column.tasks) for _, i, column in parts]
+        x = np.array([part for part, _, _ in parts])
+        single = [i for i in self._row if self._number.get(i, 1) == 1]
+        found = [
+            cut
+            for cut in find_violated_rows(columns, x, single, most)
+            if cut not in self._cuts
+        ]
+        for cut in found:
+            self._cuts[cut] = self._highs.getNumRow()
+            counts = [cut.coefficient(i, column.tasks) for i, column in self._columns]
+            _add_cut(self._highs, cut, counts, self._tasks)
+        return len(found)
 
     def at_least(self, robots: int, reward: float) -> None:
         """Add the row that asks for n columns in all; call it once.
@@ -274,8 +322,16 @@ class Master:
         ]
         row, robots = self._count or (0, 0)
         reward = max(0.0, float(dual[row])) if self._count else 0.0
+        charged = {
+            cut: -float(dual[row]) for cut, row in self._cuts.items() if dual[row] < 0.0
+        }
+        rows = PricedRows(tuple(charged), tuple(charged.values()))
         return Relaxation(
-            math.fsum([*prices, *saved, robots * reward]), prices, self._used, reward
+            math.fsum([*prices, *saved, robots * reward, rows.value]),
+            prices,
+            self._used,
+            reward,
+            rows,
         )
 
     def sigma(self, robot: int) -> float:
@@ -295,6 +351,16 @@ class Master:
             if k >= self._tasks
         ]
         return [(robot, column) for robot, column in basis if column.tasks]
+
+    @property
+    def parts(self) -> list[tuple[float, int, RouteColumn]]:
+        """(x, robot, column) of each column in use in the last solution."""
+        x = self._highs.getSolution().col_value[self._tasks :]
+        return [
+            (part, robot, column)
+            for part, (robot, column) in zip(x, self._columns, strict=True)
+            if part > COLUMN_COUNT_ROUNDING and column.tasks
+        ]
 
     @property
     def _used(self) -> float:
@@ -453,7 +519,7 @@ def _build_partition_model(
 ) -> highspy.Highs:
     """Return the model of `find_partition` with 0 <= x <= 1.
 
-    Rows: tasks = 1, robots in use <= number, all columns <= most. Columns: in the given order.
+    Rows: tasks = 1, robots in use <= number, all columns <= most, subset rows. Columns: in the given order.
     """
     highs = make_quiet_highs(seed)
     columns = problem.columns
@@ -477,4 +543,21 @@ def _build_partition_model(
     highs.addCols(
         n, cost, np.zeros(n), np.ones(n), len(index), starts, index, np.ones(len(index))
     )
+    for row in problem.rows:
+        counts = [row.coefficient(robot, column.tasks) for robot, column in columns]
+        _add_cut(highs, row, counts, 0)
     return highs
+
+
+def _add_cut(
+    highs: highspy.Highs, row: SubsetRow, counts: Sequence[int], first: int
+) -> None:
+    """Add a subset row; counts: coefficients of the columns, beginning with column `first`."""
+    index = np.flatnonzero(counts)
+    highs.addRow(
+        -highspy.kHighsInf,
+        float(row.limit),
+        len(index),
+        (index + first).astype(np.int32),
+        np.array(counts, float)[index],
+    )

@@ -158,6 +158,12 @@ class ProofSettings:
     """Branch-and-bound nodes if `prove`, at most."""
     large_nodes: int = 300
     """Branch-and-bound nodes if the robots list halves of routes, at most."""
+    dives: int = 12
+    """Divisions of the plan into parts that dives plan again, at most; see diving.py."""
+    dive_tasks: int = 60
+    """Largest number of tasks in such a part."""
+    still_dives: int = 10
+    """Parts without a better plan after which the dives end."""
 
 
 @dataclass(frozen=True)

@@ -223,7 +223,10 @@ class PlanProof:
         if not self._member.speaks:
             return []
         below = self._bound.least[self._i] + gap
-        return self._routes.within(self._bound.prices, below, most, self._bound.reward)
+        bound = self._bound
+        if self._halves is None:
+            return self._member.table.within(bound.prices, below, most, bound.reward)
+        return self._halves.within(bound.prices, below, most, bound.reward, bound.rows)
 
     def _is_more(self, near: list[RouteColumn] | None, most: float) -> Exchange[bool]:
         """Return whether all robots together have more than `most` columns within the gap."""
@@ -307,7 +310,10 @@ class PlanProof:
         )
         weight = self._member.vehicle_weight
         problem = PartitionProblem(
-            useful, len(self._member.local.tasks), self._member.alike
+            useful,
+            len(self._member.local.tasks),
+            self._member.alike,
+            self._bound.rows.rows,
         )
         if weight:
             least = self._member.least_vehicles(self._bound.value)

@@ -1,5 +1,7 @@
 """Exact pricing of too many limited routes: list halves of routes and join them."""
 
+from collections.abc import Collection
+from copy import copy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +12,8 @@ from crazychoir.routing.instance.vehicle import ROUNDING_SLACK, Vehicle
 from crazychoir.routing.pricing.label_setting import list_bits
 from crazychoir.routing.pricing.labels import HASH_MULTIPLIERS, grow_labels
 from crazychoir.routing.pricing.route_table import RouteColumn, restrict_vehicle
-from crazychoir.types import Ints, Mat, Vec, Words
+from crazychoir.routing.pricing.subset_rows import NO_ROWS, PricedRows
+from crazychoir.types import Bools, Ints, Mat, Vec, Words
 
 MOST_HALF_LABELS = 3_000_000
 """Largest number of labels of one half."""
@@ -87,7 +90,22 @@ class HalfRoutes:
             vehicle.timed or vehicle.trips > 1 or vehicle.aboard.any()
         )
 
-    def cheapest(self, prices: Vec, count: int, below: float) -> list[RouteColumn]:
+    def without(self, tasks: Collection[int]) -> "HalfRoutes":
+        """Return the routes that serve none of these tasks."""
+        mask = np.zeros(2, np.uint64)
+        for k in np.flatnonzero(np.isin(self._servable, list(tasks))).tolist():
+            mask[k >> 6] |= np.uint64(1) << np.uint64(k & 63)
+        other = copy(self)
+        there = _list_labels_without(self._there, mask)
+        back = _list_labels_without(self._back, mask)
+        some = (there[1] > 0) & (back[1] > 0)
+        other._there = _take_labels(self._there, *there, some)
+        other._back = _take_labels(self._back, *back, some)
+        return other
+
+    def cheapest(
+        self, prices: Vec, count: int, below: float, rows: PricedRows = NO_ROWS
+    ) -> list[RouteColumn]:
         """Return columns with a reduced cost below `below`, the least first.
 
         The column with the least reduced cost of all is among them.
@@ -95,9 +113,10 @@ class HalfRoutes:
         prices: (M,) m.
         count: columns, at most.
         below: m.
+        rows: subset rows, whose charges are part of the reduced costs.
         """
         found: dict[tuple[int, ...], RouteColumn] = {}
-        for _, a, b in self._joined(prices, below - self._vehicle.fixed):
+        for _, a, b in self._joined(prices, below - self._vehicle.fixed, rows):
             words = self._there.keys[a, :2] | self._back.keys[b, :2]
             tasks = tuple(self._servable[list_bits(words)].tolist())
             if tasks not in found and len(found) < count:
@@ -105,7 +124,12 @@ class HalfRoutes:
         return list(found.values())
 
     def within(
-        self, prices: Vec, below: float, most: float, reward: float = 0.0
+        self,
+        prices: Vec,
+        below: float,
+        most: float,
+        reward: float = 0.0,
+        rows: PricedRows = NO_ROWS,
     ) -> list[RouteColumn] | None:
         """Return all columns but the idle one with a reduced cost below `below`.
 
@@ -115,11 +139,12 @@ class HalfRoutes:
         below: m.
         most: columns, at most; finite.
         reward: m, subtracted from the reduced cost of each column.
+        rows: subset rows, whose charges are part of the reduced costs.
         """
         if not len(self._there.length):
             return []
         room = MOST_PAIRS_OF_SET * int(most)
-        sides = self._select(prices, below + reward - self._vehicle.fixed)
+        sides = self._select(prices, below + reward - self._vehicle.fixed, rows)
         first, second = _list_pairs(room, *sides)
         if len(first) > room:
             return None
@@ -143,26 +168,31 @@ class HalfRoutes:
         way = float(v.distance[there.open[a], back.open[b]])
         return float(there.length[a]) + way + float(back.length[b]) + v.fixed
 
-    def least(self, prices: Vec) -> float:
+    def least(self, prices: Vec, rows: PricedRows = NO_ROWS) -> float:
         """Return the least reduced cost; at most 0, which is that of the idle column."""
-        values = [
-            value for value, _, _ in self._joined(prices, -self._vehicle.fixed)[:1]
-        ]
+        joined = self._joined(prices, -self._vehicle.fixed, rows)
+        values = [value for value, _, _ in joined[:1]]
         return min([0.0, *(value + self._vehicle.fixed for value in values)])
 
-    def _joined(self, prices: Vec, below: float) -> list[tuple[float, int, int]]:
+    def _joined(
+        self, prices: Vec, below: float, rows: PricedRows
+    ) -> list[tuple[float, int, int]]:
         """Return the best pair of halves of each group, the least first.
 
         An entry is (reduced cost without the fixed cost, half a, half b).
         """
         if not len(self._there.length):
             return []
-        best, a, b = _join_halves(*self._select(prices, below))
+        best, a, b = _join_halves(*self._select(prices, below, rows))
         order = [int(g) for g in np.argsort(best, kind="stable") if a[g] >= 0]
         return [(float(best[g]), int(a[g]), int(b[g])) for g in order]
 
-    def _select(self, prices: Vec, below: float) -> tuple[Any, ...]:
-        """Return the arguments of `_join_halves`: halves that can be part of a route below `below`."""
+    def _select(self, prices: Vec, below: float, rows: PricedRows) -> tuple[Any, ...]:
+        """Return the arguments of `_join_halves`: halves that can be part of a route below `below`.
+
+        Each half is charged for the subset rows as if it were the whole route, but only the first
+        half for the robot. That is at most what the route is charged.
+        """
         own = prices[self._servable]
         v = self._vehicle
         there = self._there
@@ -174,13 +204,23 @@ class HalfRoutes:
         least_back = np.minimum.reduceat(two, back.start[:-1])
         first, start = _select_promising(one, least_back, there.start, below)
         second, start_back = _select_promising(two, least, back.start, below)
+        charges = rows.charges(v.robot, self._servable)
+        full_one, full_two = one, two
+        if rows.rows:
+            full_one = _charge_labels(one, there.keys, first, *charges, False)
+            full_two = _charge_labels(two, back.keys, second, *charges, True)
+            first, start = _sort_groups(full_one, first, start)
+            second, start_back = _sort_groups(full_two, second, start_back)
         return (
             first,
             second,
             start,
             start_back,
+            full_one,
+            full_two,
             one,
             two,
+            *charges,
             there.keys,
             back.keys,
             there.length,
@@ -274,6 +314,29 @@ def _select_promising(
     return kept, np.searchsorted(group[kept], np.arange(len(start)))
 
 
+def _list_labels_without(half: _HalfLabels, mask: Words) -> tuple[Bools, Ints]:
+    """Return whether each label has no task of the mask, and how many of each group have none."""
+    words = half.keys[:, :2] & mask
+    free = (words[:, 0] | words[:, 1]) == 0
+    group = np.repeat(np.arange(len(half.start) - 1), np.diff(half.start))
+    return free, np.bincount(group[free], minlength=len(half.start) - 1)
+
+
+def _take_labels(
+    half: _HalfLabels, kept: Bools, sizes: Ints, some: Bools
+) -> _HalfLabels:
+    """Return some labels of the groups `some`; sizes: their number in each group."""
+    kept = kept & np.repeat(some, np.diff(half.start))
+    start = np.concatenate([[0], np.cumsum(sizes[some])])
+    return _HalfLabels(half.keys[kept], half.length[kept], half.open[kept], start)
+
+
+def _sort_groups(cost: Vec, kept: Ints, start: Ints) -> tuple[Ints, Ints]:
+    """Return the labels by group, the least cost of each group first, and where groups start."""
+    group = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    return kept[np.lexsort((cost[kept], group))], start
+
+
 def _sum_prices(prices: Vec) -> Mat:
     """Return (16, 256): for each of 16 groups of eight tasks, the sum of prices of each subset."""
     padded = np.zeros(128)
@@ -296,6 +359,73 @@ def _price_labels(keys: Words, sums: Mat, besides: bool) -> Vec:
     return out
 
 
+@kernel()
+def _count_bits(word: Any) -> int:
+    """Return the number of bits that are set."""
+    count = 0
+    while word != 0:
+        word &= word - np.uint64(1)
+        count += 1
+    return count
+
+
+@kernel()
+def _weigh(one: Any, two: Any, mask: Words, r: int) -> int:
+    """Return the weight in row r of the tasks in two words."""
+    odd = _count_bits(one & mask[r, 0]) + _count_bits(two & mask[r, 1])
+    return odd + 2 * (_count_bits(one & mask[r, 2]) + _count_bits(two & mask[r, 3]))
+
+
+@kernel(nogil=True)
+def _charge_labels(
+    cost: Vec,
+    keys: Words,
+    chosen: Ints,
+    mask: Words,
+    extra: Ints,
+    divisor: Ints,
+    price: Vec,
+    besides: bool,
+) -> Vec:
+    """Return the costs with the charges of the rows, see HalfRoutes._select.
+
+    Only the `chosen` labels are charged.
+    besides: without the tasks on board and the robot.
+    """
+    out = cost.copy()
+    for n in range(len(chosen)):
+        i = chosen[n]
+        one = keys[i, 0] & (~keys[i, 2] if besides else ~np.uint64(0))
+        two = keys[i, 1] & (~keys[i, 3] if besides else ~np.uint64(0))
+        for r in range(len(price)):
+            weight = _weigh(one, two, mask, r) + (0 if besides else extra[r])
+            if weight >= divisor[r]:
+                out[i] += price[r] * (weight // divisor[r])
+    return out
+
+
+@kernel(nogil=True)
+def _charge_route(
+    keys: Words,
+    i: int,
+    keys_back: Words,
+    k: int,
+    mask: Words,
+    extra: Ints,
+    divisor: Ints,
+    price: Vec,
+) -> float:
+    """Return the charges of the rows for the route of halves i and k."""
+    one = keys[i, 0] | keys_back[k, 0]
+    two = keys[i, 1] | keys_back[k, 1]
+    charge = 0.0
+    for r in range(len(price)):
+        weight = _weigh(one, two, mask, r) + extra[r]
+        if weight >= divisor[r]:
+            charge += price[r] * (weight // divisor[r])
+    return charge
+
+
 @kernel(nogil=True)
 def _is_route(keys: Words, i: int, keys_back: Words, k: int) -> bool:
     """Return whether halves i and k fit: the same on board, no other task in common, some task."""
@@ -316,8 +446,14 @@ def _join_halves(
     second: Ints,
     start: Ints,
     start_back: Ints,
+    full_one: Vec,
+    full_two: Vec,
     one: Vec,
     two: Vec,
+    mask: Words,
+    extra: Ints,
+    divisor: Ints,
+    price: Vec,
     keys: Words,
     keys_back: Words,
     length: Vec,
@@ -342,16 +478,21 @@ def _join_halves(
             i = first[p]
             for q in range(start_back[g], start_back[g + 1]):
                 k = second[q]
-                if one[i] + two[k] >= best[g]:
+                if full_one[i] + full_two[k] >= best[g]:
                     break
                 if not _is_route(keys, i, keys_back, k):
                     continue
                 way = distance[at[i], at_back[k]]
                 if (
-                    one[i] + way + two[k] < best[g]
-                    and length[i] + way + length_back[k] <= limit
+                    full_one[i] + way + full_two[k] >= best[g]
+                    or length[i] + way + length_back[k] > limit
                 ):
-                    best[g] = one[i] + way + two[k]
+                    continue
+                charge = _charge_route(
+                    keys, i, keys_back, k, mask, extra, divisor, price
+                )
+                if one[i] + way + two[k] + charge < best[g]:
+                    best[g] = one[i] + way + two[k] + charge
                     a[g] = i
                     b[g] = k
     return best, a, b
@@ -364,8 +505,14 @@ def _list_pairs(
     second: Ints,
     start: Ints,
     start_back: Ints,
+    full_one: Vec,
+    full_two: Vec,
     one: Vec,
     two: Vec,
+    mask: Words,
+    extra: Ints,
+    divisor: Ints,
+    price: Vec,
     keys: Words,
     keys_back: Words,
     length: Vec,
@@ -388,15 +535,20 @@ def _list_pairs(
             i = first[p]
             for q in range(start_back[g], start_back[g + 1]):
                 k = second[q]
-                if one[i] + two[k] >= below:
+                if full_one[i] + full_two[k] >= below:
                     break
                 if not _is_route(keys, i, keys_back, k):
                     continue
                 way = distance[at[i], at_back[k]]
                 if (
-                    one[i] + way + two[k] < below
-                    and length[i] + way + length_back[k] <= limit
+                    full_one[i] + way + full_two[k] >= below
+                    or length[i] + way + length_back[k] > limit
                 ):
+                    continue
+                charge = _charge_route(
+                    keys, i, keys_back, k, mask, extra, divisor, price
+                )
+                if one[i] + way + two[k] + charge < below:
                     a[n] = i
                     b[n] = k
                     n += 1

@@ -1,0 +1,168 @@
+"""Diving: round the linear relaxation to a plan, one route after the other."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from crazychoir.optimization.rounds.agreement import find_best_offer, flood_values
+from crazychoir.optimization.rounds.program import Exchange
+from crazychoir.routing.distributed.master import ColumnPool, Master
+from crazychoir.routing.distributed.member import RoutingMember
+from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
+from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
+from crazychoir.routing.pricing.route_table import RouteColumn
+from crazychoir.types import Vec
+
+FORBIDDEN_PRICE = -1e6
+"""m: price of a task that another route serves already."""
+
+
+@dataclass(frozen=True, slots=True)
+class DivePasses:
+    """How long a dive prices before it fixes a route."""
+
+    passes: int = 3
+    """Passes of pricing before each fixed route, at most."""
+    certain: float = 0.99
+    """Columns with at least this part are fixed together."""
+    batch: int = 20
+    """Columns that a robot offers in a pass."""
+
+
+DIVE_PASSES = DivePasses()
+
+
+class Dive:
+    """Build a plan from the relaxation: fix a route, then price new routes for the tasks left.
+
+    1. Two robots solve the relaxation of the known columns over the tasks and robots left.
+    2. Each robot left floods columns of negative reduced cost that serve only tasks left.
+    3. After some passes, or without new columns, the column with the largest part is fixed.
+
+    It ends when no part is left. A task that no column serves then stays out of the plan.
+
+    member: this robot.
+    pool: the columns that all robots know, extended in place.
+    halves: the routes of this robot, None if it does not price.
+    fixed: routes that are fixed from the beginning, as (robot, column).
+    Source: the diving heuristics of Sadykov, Vanderbeck, Pessoa, Tahiri & Uchoa 2019, INFORMS
+    Journal on Computing 31(2).
+    """
+
+    def __init__(
+        self,
+        member: RoutingMember,
+        pool: ColumnPool,
+        halves: HalfRoutes | None,
+        fixed: list[tuple[int, RouteColumn]],
+    ) -> None:
+        self._member = member
+        self._i = member.place.robot
+        self._pool = pool
+        self._halves = halves
+        speaker = {i: same[0] for same in member.alike.values() for i in same}
+        self._fixed = [(speaker[i], column) for i, column in fixed]
+        self._taken: set[int] = set()
+        self._left = {i: len(same) for i, same in member.alike.items()}
+        self._take(self._fixed)
+
+    def run(self) -> Exchange[dict[int, tuple[int, ...]]]:
+        """Return the tasks of each robot that flies."""
+        while not self._member.budget.is_over:
+            chosen = yield from self._choose()
+            if not chosen:
+                break
+            self._fixed += chosen
+            self._take(chosen)
+        free = {i: iter(same) for i, same in self._member.alike.items()}
+        return {next(free[i]): column.tasks for i, column in self._fixed}
+
+    def _take(self, chosen: list[tuple[int, RouteColumn]]) -> None:
+        """Take the tasks and robots of these routes out of the problem that is left."""
+        tasks = {j for _, column in chosen for j in column.tasks}
+        self._taken |= tasks
+        for i, _ in chosen:
+            self._left[i] -= 1
+        if self._halves is not None and tasks:
+            gone = not self._left.get(self._i, 0)
+            self._halves = None if gone else self._halves.without(tasks)
+
+    def _choose(self) -> Exchange[list[tuple[int, RouteColumn]]]:
+        """Return the columns to fix next, none if nothing is left."""
+        master = self._build_master() if self._searches else None
+        told: list[Any] | None = None
+        for k in range(DIVE_PASSES.passes + 1):
+            told = yield from find_best_offer(
+                self._offer(master), self._member.place.diameter
+            )
+            if told is None or k == DIVE_PASSES.passes:
+                break
+            known = yield from flood_values(
+                self._i, self._priced(told), self._member.place.diameter
+            )
+            new = 0
+            for i, columns in known.items():
+                if columns is not None:
+                    unpacked = unpack_columns(columns)
+                    new += self._pool.add(i, unpacked)
+                    if master is not None:
+                        master.add(i, unpacked)
+            if not new:
+                break
+        if told is None:
+            return []
+        robots, columns = told[4:6]
+        return list(zip(map(int, robots), unpack_columns(columns), strict=True))
+
+    @property
+    def _searches(self) -> bool:
+        return self._i < self._member.settings.proof.searchers
+
+    def _build_master(self) -> Master:
+        """Return the relaxation of what is left."""
+        penalty = np.array(self._member.unserved)
+        penalty[list(self._taken)] = 0.0
+        master = Master(penalty, 0.0, self._left)
+        for i, column in self._pool.items():
+            if self._left[i] and self._taken.isdisjoint(column.tasks):
+                master.add(i, [column])
+        return master
+
+    def _offer(self, master: Master | None) -> list[Any] | None:
+        """Return value, robot, prices, saved, and the columns to fix next, as robots and columns."""
+        if master is None:
+            return None
+        relaxed = master.relax()
+        parts = sorted(
+            master.parts, key=lambda part: (-round(part[0], 6), part[1], part[2])
+        )
+        chosen: list[tuple[int, RouteColumn]] = []
+        left = dict(self._left)
+        taken: set[int] = set()
+        for part, i, column in parts:
+            if chosen and part < DIVE_PASSES.certain:
+                break
+            if left[i] and taken.isdisjoint(column.tasks):
+                chosen.append((i, column))
+                taken.update(column.tasks)
+                left[i] -= 1
+        return [
+            relaxed.value,
+            self._i,
+            relaxed.prices,
+            [[i, master.sigma(i)] for i in self._left],
+            [i for i, _ in chosen],
+            pack_columns([column for _, column in chosen]),
+        ]
+
+    def _priced(self, told: list[Any]) -> list[Any] | None:
+        """Return columns of this robot that lower the value, None if it has no routes."""
+        if self._halves is None:
+            return None
+        prices: Vec = np.array(told[2])
+        prices[list(self._taken)] = FORBIDDEN_PRICE
+        sigma: Mapping[int, float] = {int(i): float(s) for i, s in told[3]}
+        below = sigma[self._i] - self._member.tolerance(float(told[0]))
+        return pack_columns(self._halves.cheapest(prices, DIVE_PASSES.batch, below))
