@@ -159,7 +159,7 @@ class DistributedColumns:
                     for column in self._columns()
                     if column[0] not in cluster.robots
                 ]
-                dive = Dive(member, large.pool, large.halves, fixed)
+                dive = Dive(member, large.pool, large.halves, fixed, cost)
                 still = 0 if self._adopt((yield from dive.run())) else still + 1
 
     def _columns(self) -> list[tuple[int, RouteColumn]]:

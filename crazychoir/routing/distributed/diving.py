@@ -1,5 +1,6 @@
 """Diving: round the linear relaxation to a plan, one route after the other."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -8,7 +9,13 @@ import numpy as np
 
 from crazychoir.optimization.rounds.agreement import find_best_offer, flood_values
 from crazychoir.optimization.rounds.program import Exchange
-from crazychoir.routing.distributed.master import ColumnPool, Master
+from crazychoir.routing.distributed.master import (
+    ColumnPool,
+    Master,
+    PartitionProblem,
+    Relaxation,
+    find_partition,
+)
 from crazychoir.routing.distributed.member import RoutingMember
 from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
 from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
@@ -29,6 +36,8 @@ class DivePasses:
     """Columns with at least this part are fixed together."""
     batch: int = 20
     """Columns that a robot offers in a pass."""
+    nodes: int = 50
+    """Branch-and-bound nodes of a search over the known columns, at most."""
 
 
 DIVE_PASSES = DivePasses()
@@ -42,11 +51,14 @@ class Dive:
     3. After some passes, or without new columns, the column with the largest part is fixed.
 
     It ends when no part is left. A task that no column serves then stays out of the plan.
+    4. If some routes were fixed from the beginning, one robot looks for the best plan of all known
+       columns that can be part of a better plan with these routes.
 
     member: this robot.
     pool: the columns that all robots know, extended in place.
     halves: the routes of this robot, None if it does not price.
     fixed: routes that are fixed from the beginning, as (robot, column).
+    below: m, cost of the known plan.
     Source: the diving heuristics of Sadykov, Vanderbeck, Pessoa, Tahiri & Uchoa 2019, INFORMS
     Journal on Computing 31(2).
     """
@@ -57,6 +69,7 @@ class Dive:
         pool: ColumnPool,
         halves: HalfRoutes | None,
         fixed: list[tuple[int, RouteColumn]],
+        below: float = np.inf,
     ) -> None:
         self._member = member
         self._i = member.place.robot
@@ -67,6 +80,10 @@ class Dive:
         self._taken: set[int] = set()
         self._left = {i: len(same) for i, same in member.alike.items()}
         self._take(self._fixed)
+        self._given = list(self._fixed)
+        self._below = below
+        self._first: Relaxation | None = None
+        self._first_sigma: dict[int, float] = {}
 
     def run(self) -> Exchange[dict[int, tuple[int, ...]]]:
         """Return the tasks of each robot that flies."""
@@ -76,8 +93,66 @@ class Dive:
                 break
             self._fixed += chosen
             self._take(chosen)
+        if self._given and not self._member.budget.is_over:
+            yield from self._recombine()
         free = {i: iter(same) for i, same in self._member.alike.items()}
         return {next(free[i]): column.tasks for i, column in self._fixed}
+
+    def _recombine(self) -> Exchange[None]:
+        """Take the best plan of the known columns if it is better than the known plan."""
+        own: list[Any] | None = None
+        if self._i == 0:
+            below = self._below
+            if len(self._taken) == len(self._member.unserved):
+                dived = math.fsum(column.length for _, column in self._fixed)
+                below = min(below, dived)
+            own = self._search(below - self._member.tolerance(below))
+        told = yield from find_best_offer(own, self._member.place.diameter)
+        if told is not None:
+            robots, columns = told[2:4]
+            self._fixed = list(
+                zip(map(int, robots), unpack_columns(columns), strict=True)
+            )
+
+    def _search(self, below: float) -> list[Any] | None:
+        """Return cost, robot, and the columns of a plan that costs less than `below`."""
+        first = self._first
+        if first is None or np.isfinite(self._member.local.tasks.refusal).any():
+            return None
+        fixed = math.fsum(column.length for _, column in self._given)
+        gap = below - fixed - first.value
+        taken = {j for _, column in self._given for j in column.tasks}
+        left = {i: len(same) for i, same in self._member.alike.items()}
+        for i, _ in self._given:
+            left[i] -= 1
+        useful = [
+            (i, column)
+            for i, column in self._pool.items()
+            if left[i]
+            and taken.isdisjoint(column.tasks)
+            and column.length
+            - math.fsum(first.prices[list(column.tasks)])
+            - self._first_sigma.get(i, 0.0)
+            <= gap
+        ]
+        found = find_partition(
+            PartitionProblem(
+                self._given + useful, len(self._member.unserved), self._member.alike
+            ),
+            0,
+            DIVE_PASSES.nodes,
+            below=below,
+        )
+        if found.cost >= below:
+            return None
+        speaker = {i: same[0] for same in self._member.alike.values() for i in same}
+        routes = [(speaker[i], tasks) for i, tasks in found.routes.items()]
+        return [
+            found.cost,
+            self._i,
+            [i for i, _ in routes],
+            pack_columns([RouteColumn(0.0, tasks) for _, tasks in routes]),
+        ]
 
     def _take(self, chosen: list[tuple[int, RouteColumn]]) -> None:
         """Take the tasks and robots of these routes out of the problem that is left."""
@@ -135,6 +210,9 @@ class Dive:
         if master is None:
             return None
         relaxed = master.relax()
+        if self._fixed == self._given:
+            self._first = relaxed
+            self._first_sigma = {i: master.sigma(i) for i in self._left}
         parts = sorted(
             master.parts, key=lambda part: (-round(part[0], 6), part[1], part[2])
         )

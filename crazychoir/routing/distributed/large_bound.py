@@ -51,7 +51,7 @@ class BoundPasses:
     A bound that is a little higher would hardly say more about such a plan, but it takes half of
     all passes.
     """
-    cut_passes: int = 40
+    cut_passes: int = 16
     """Passes with subset rows, at most."""
     cuts: int = 60
     """Subset rows that are added in a pass, at most."""
