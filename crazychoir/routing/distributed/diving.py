@@ -36,6 +36,8 @@ class DivePasses:
     """Columns with at least this part are fixed together."""
     batch: int = 20
     """Columns that a robot offers in a pass."""
+    tried: int = 8
+    """Columns of which the best one is fixed, if none is certain."""
     nodes: int = 50
     """Branch-and-bound nodes of a search over the known columns, at most."""
 
@@ -48,7 +50,7 @@ class Dive:
 
     1. Two robots solve the relaxation of the known columns over the tasks and robots left.
     2. Each robot left floods columns of negative reduced cost that serve only tasks left.
-    3. After some passes, or without new columns, the column with the largest part is fixed.
+    3. After some passes, or without new columns, a column with a large part is fixed.
 
     It ends when no part is left. A task that no column serves then stays out of the plan.
     4. If some routes were fixed from the beginning, one robot looks for the best plan of all known
@@ -167,13 +169,12 @@ class Dive:
     def _choose(self) -> Exchange[list[tuple[int, RouteColumn]]]:
         """Return the columns to fix next, none if nothing is left."""
         master = self._build_master() if self._searches else None
-        told: list[Any] | None = None
-        for k in range(DIVE_PASSES.passes + 1):
+        for _ in range(DIVE_PASSES.passes):
             told = yield from find_best_offer(
                 self._offer(master), self._member.place.diameter
             )
-            if told is None or k == DIVE_PASSES.passes:
-                break
+            if told is None:
+                return []
             known = yield from flood_values(
                 self._i, self._priced(told), self._member.place.diameter
             )
@@ -186,9 +187,12 @@ class Dive:
                         master.add(i, unpacked)
             if not new:
                 break
-        if told is None:
+        picked = yield from find_best_offer(
+            self._pick(master), self._member.place.diameter
+        )
+        if picked is None:
             return []
-        robots, columns = told[4:6]
+        robots, columns = picked[2:4]
         return list(zip(map(int, robots), unpack_columns(columns), strict=True))
 
     @property
@@ -206,7 +210,19 @@ class Dive:
         return master
 
     def _offer(self, master: Master | None) -> list[Any] | None:
-        """Return value, robot, prices, saved, and the columns to fix next, as robots and columns."""
+        """Return value, robot, prices, and the price of each robot."""
+        if master is None:
+            return None
+        relaxed = master.relax()
+        sigma = [[i, master.sigma(i)] for i in self._left]
+        return [relaxed.value, self._i, relaxed.prices, sigma]
+
+    def _pick(self, master: Master | None) -> list[Any] | None:
+        """Return value, robot, and the columns to fix next, as robots and columns.
+
+        Columns that are certain are fixed together. Otherwise it is the column that raises the
+        relaxation of the known columns least, of those with the largest parts.
+        """
         if master is None:
             return None
         relaxed = master.relax()
@@ -220,17 +236,22 @@ class Dive:
         left = dict(self._left)
         taken: set[int] = set()
         for part, i, column in parts:
-            if chosen and part < DIVE_PASSES.certain:
+            if part < DIVE_PASSES.certain:
                 break
             if left[i] and taken.isdisjoint(column.tasks):
                 chosen.append((i, column))
                 taken.update(column.tasks)
                 left[i] -= 1
+        if not chosen and parts:
+            tried = [
+                (round(master.try_column(i, column), 6), k)
+                for k, (_, i, column) in enumerate(parts[: DIVE_PASSES.tried])
+            ]
+            _, i, column = parts[min(tried)[1]]
+            chosen = [(i, column)]
         return [
             relaxed.value,
             self._i,
-            relaxed.prices,
-            [[i, master.sigma(i)] for i in self._left],
             [i for i, _ in chosen],
             pack_columns([column for _, column in chosen]),
         ]

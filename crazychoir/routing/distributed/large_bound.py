@@ -34,6 +34,8 @@ A robot prices by it if its routes cannot be halved, or can be halved in too man
 class BoundPasses:
     """How the passes of a large bound mix prices, how far they search, and when they end."""
 
+    first_share: float = 0.8
+    """Share of the cost of the plan in the first prices."""
     best_price_share: float = 0.6
     """Share of the best prices so far in the next prices."""
     label_factor: int = 3
@@ -240,14 +242,18 @@ class LargeBound:
         return halves if halves.complete else None
 
     def _start(self) -> Vec:
-        """Return the first prices: the cost of each route of the plan, in equal parts on its tasks.
+        """Return the first prices: a share of the cost of each route, in equal parts on its tasks.
+
+        The share is BOUND_PASSES.first_share. Too low prices do less harm than too high ones, at
+        which very many routes have a negative reduced cost.
 
         A price is at most the cost of leaving the task out. All robots begin with the same prices,
         because they know the same penalty after they have introduced themselves.
         """
         pi = np.array(self._member.unserved)
         for _, column in self._plan:
-            pi[list(column.tasks)] = column.length / max(1, len(column.tasks))
+            own = list(column.tasks)
+            pi[own] = BOUND_PASSES.first_share * column.length / max(1, len(own))
         return np.minimum(pi, self._member.unserved)
 
     def _priced(self, pi: Vec) -> list[Any] | None:

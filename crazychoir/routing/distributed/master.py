@@ -352,6 +352,16 @@ class Master:
         ]
         return [(robot, column) for robot, column in basis if column.tasks]
 
+    def try_column(self, robot: int, column: RouteColumn) -> float:
+        """Return the value of the relaxation in m if x of this known column is at least 1."""
+        at = self._index[robot, column.tasks] + self._tasks
+        self._highs.changeColBounds(at, 1.0, highspy.kHighsInf)
+        self._highs.run()
+        optimal = self._highs.getModelStatus() == HIGHS_STATUS.kOptimal
+        value = self._highs.getObjectiveValue() if optimal else np.inf
+        self._highs.changeColBounds(at, 0.0, highspy.kHighsInf)
+        return float(value)
+
     @property
     def parts(self) -> list[tuple[float, int, RouteColumn]]:
         """(x, robot, column) of each column in use in the last solution."""

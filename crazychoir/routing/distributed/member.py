@@ -160,7 +160,7 @@ class ProofSettings:
     """Branch-and-bound nodes if the robots list halves of routes, at most."""
     dives: int = 12
     """Divisions of the plan into parts that dives plan again, at most; see diving.py."""
-    dive_tasks: int = 60
+    dive_tasks: int = 50
     """Largest number of tasks in such a part."""
     still_dives: int = 10
     """Parts without a better plan after which the dives end."""

@@ -318,8 +318,9 @@ def _list_labels_without(half: _HalfLabels, mask: Words) -> tuple[Bools, Ints]:
     """Return whether each label has no task of the mask, and how many of each group have none."""
     words = half.keys[:, :2] & mask
     free = (words[:, 0] | words[:, 1]) == 0
-    group = np.repeat(np.arange(len(half.start) - 1), np.diff(half.start))
-    return free, np.bincount(group[free], minlength=len(half.start) - 1)
+    if not len(free):
+        return free, np.zeros(0, np.int64)
+    return free, np.add.reduceat(free, half.start[:-1], dtype=np.int64)
 
 
 def _take_labels(
