@@ -11,7 +11,7 @@ from crazychoir.optimization.rounds.agreement import flood_values
 from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.master import ColumnPool
 from crazychoir.routing.distributed.member import RoutingMember
-from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
+from crazychoir.routing.pricing.packing import pack_columns, unpack_columns
 from crazychoir.routing.pricing.route_table import RouteColumn
 from crazychoir.routing.pricing.subset_rows import NO_ROWS, PricedRows
 from crazychoir.types import Vec

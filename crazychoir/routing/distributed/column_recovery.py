@@ -7,9 +7,9 @@ from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.bound import Bound, improve_bound
 from crazychoir.routing.distributed.master import ColumnPool
 from crazychoir.routing.distributed.member import RoutingMember
-from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
 from crazychoir.routing.distributed.primal_decomposition import PriceRounds
 from crazychoir.routing.distributed.proof import PlanProof, TaskPartition
+from crazychoir.routing.pricing.packing import pack_columns, unpack_columns
 from crazychoir.types import Vec
 
 COLUMN_RECOVERY_DISCLOSURES: tuple[str, ...] = (

@@ -26,10 +26,11 @@ from crazychoir.routing.distributed.clusters import (
     list_served_tasks,
     list_usual_passes,
 )
-from crazychoir.routing.distributed.diving import Dive
+from crazychoir.routing.distributed.diving import dive_for_plan
 from crazychoir.routing.distributed.gossip import Gossip
 from crazychoir.routing.distributed.infeasibility import explain_missing_tasks
 from crazychoir.routing.distributed.large_bound import LargeBound
+from crazychoir.routing.distributed.master import Routes
 from crazychoir.routing.distributed.member import RoutingMember
 from crazychoir.routing.distributed.plan_measure import is_better
 from crazychoir.routing.distributed.proof import PlanOffer, PlanProof, TaskPartition
@@ -119,73 +120,42 @@ class DistributedColumns:
             or (member.local.tasks.priority > 0).any()
         ):
             return self._assignment(None)
-        large = LargeBound(member, self._columns())
+        large = LargeBound(member, self.columns())
         offer = self._offer()
         yield from large.run()
         if large.value is None or large.relaxation is not None or offer is None:
             return self._assignment(large.value, large.relaxation)
-        yield from self._dive(large)
+        known = large.pool, large.halves, large.bound.value
+        yield from dive_for_plan(self, member, self._near, *known)
         offer = self._offer()
         proof = PlanProof(member, large.pool, large.bound, offer, large.halves)
         yield from proof.search_few(member.settings.proof.large_nodes)
         self._take_over(proof)
         return self._assignment(proof.proven)
 
-    def _dive(self, large: LargeBound) -> Exchange[None]:
-        """Round the relaxation to a plan, then that of one part of the plan after the other.
+    @property
+    def cost(self) -> float:
+        """Cost of the plan in force, m; see PlanMeasure.compute_weighed_cost."""
+        return self._measure.compute_weighed_cost(self.routes)
 
-        Each plan is adopted if it is better than the plan in force. It ends after `still_dives`
-        parts without a gain, or when the plan meets the bound.
-        """
-        member = self._member
-        settings = member.settings.proof
-        member.report(phase="dive")
-        member.kind = "columns"
-        self._adopt((yield from Dive(member, large.pool, large.halves, []).run()))
-        still = 0
-        for number in range(settings.dives):
-            clusters = self._near.draw(
-                self.routes, (len(self._robots), settings.dive_tasks), 1, [number]
-            )
-            for cluster in clusters:
-                cost = self._measure.compute_weighed_cost(self.routes)
-                met = cost - large.bound.value <= member.tolerance(cost)
-                if met or still == settings.still_dives or member.budget.is_over:
-                    return
-                if 2 * len(cluster.tasks) < settings.dive_tasks:
-                    continue
-                fixed = [
-                    column
-                    for column in self._columns()
-                    if column[0] not in cluster.robots
-                ]
-                dive = Dive(member, large.pool, large.halves, fixed, cost)
-                still = 0 if self._adopt((yield from dive.run())) else still + 1
-
-    def _columns(self) -> list[tuple[int, RouteColumn]]:
+    def columns(self) -> list[tuple[int, RouteColumn]]:
         """Return the routes of the plan in force as (robot, column)."""
+        measure = self._measure.measure_flight
         weight = self._member.vehicle_weight
-        columns = []
-        for i, tasks in self._sets().items():
-            cost, _ = self._measure.measure_flight(i, tuple(self.routes[i]))
-            columns.append((i, RouteColumn(weight + cost, tasks)))
-        return columns
+        return [
+            (i, RouteColumn(weight + measure(i, tuple(self.routes[i]))[0], tasks))
+            for i, tasks in self._sets().items()
+        ]
 
-    def _adopt(self, sets: Mapping[int, tuple[int, ...]]) -> bool:
+    def adopt(self, sets: Routes) -> bool:
         """Adopt a plan that serves these sets of tasks if it is better than the plan in force."""
-        old = self.routes
-        self.routes = {
-            i: _find_shortest_stops(
-                self._robots[i], sets.get(i, ()), self._member.local.objective
-            )
-            for i in self._robots
-        }
-        worth = self._measure.compute_worth(self.routes)
-        if is_better(worth, self._measure.compute_worth(old)):
-            self._report_cost()
-            return True
-        self.routes = old
-        return False
+        new = _find_shortest_plan(self._robots, sets, self._member.local.objective)
+        worth = self._measure.compute_worth(new)
+        if not is_better(worth, self._measure.compute_worth(self.routes)):
+            return False
+        self.routes = new
+        self._report_cost()
+        return True
 
     @property
     def _left_out(self) -> Vec:
@@ -299,7 +269,9 @@ class DistributedColumns:
             offers = yield from flood_offers(
                 self._i, self._lead(clusters, one), self._member.place.diameter
             )
-            still = 0 if self._accept(clusters, offers) else still + 1
+            better = _choose_best_offers(clusters, offers, self._order.robot_rank)
+            self.routes.update(better)
+            still = 0 if better else still + 1
             self._report_cost()
 
     def _report_cost(self) -> None:
@@ -336,20 +308,6 @@ class DistributedColumns:
             _flatten_routes({i: stops for i, stops in new.items() if stops != old[i]}),
         ]
 
-    def _accept(self, clusters: Sequence[Cluster], offers: Mapping[int, Any]) -> bool:
-        """Adopt the best offer of each cluster; return whether there was any."""
-        better = False
-        for cluster in clusters:
-            made = [
-                (list(offers[i][0]), self._order.robot_rank[i], i)
-                for i in cluster.leaders
-                if i in offers
-            ]
-            if made:
-                self.routes.update(_unflatten_routes(offers[min(made)[2]][1]))
-                better = True
-        return better
-
     def _offer(self) -> PlanOffer | None:
         """Return the plan in force as an offer, None if a task that must be served is missing."""
         if self._measure.list_missing_tasks(self.routes):
@@ -368,19 +326,8 @@ class DistributedColumns:
                 f"infeasible: no plan serves every task; {why}; {self._obstacle()} (robot {self._i})",
                 "infeasible",
             )
-        if proof.best is None:
-            return
-        measure = self._measure
-        worth = measure.convert_cost(proof.best.cost, len(proof.best.routes))
-        if not is_better(worth, measure.compute_worth(self.routes)):
-            return
-        for i in self._robots:
-            self.routes[i] = _find_shortest_stops(
-                self._robots[i],
-                proof.best.routes.get(i, ()),
-                self._member.local.objective,
-            )
-        self._report_cost()
+        if proof.best is not None:
+            self.adopt(proof.best.routes)
 
     def _assignment(
         self, bound: float | None, relaxation: str | None = None
@@ -406,6 +353,32 @@ class DistributedColumns:
             for i, stops in self.routes.items()
         }
         return {i: tasks for i, tasks in sorted(sets.items()) if tasks}
+
+
+def _choose_best_offers(
+    clusters: Sequence[Cluster], offers: Mapping[int, Any], rank: Mapping[int, int]
+) -> dict[int, list[int]]:
+    """Return the routes of the best offer of each cluster, without the clusters that have none."""
+    better: dict[int, list[int]] = {}
+    for cluster in clusters:
+        made = [
+            (list(offers[i][0]), rank[i], i)
+            for i in cluster.leaders
+            if i in offers
+        ]
+        if made:
+            better |= _unflatten_routes(offers[min(made)[2]][1])
+    return better
+
+
+def _find_shortest_plan(
+    robots: Mapping[int, LocalProblem], sets: Routes, objective: tuple[str, ...]
+) -> dict[int, list[int]]:
+    """Return the best route of each robot that serves exactly its set of tasks."""
+    return {
+        i: _find_shortest_stops(problem, sets.get(i, ()), objective)
+        for i, problem in robots.items()
+    }
 
 
 def _find_shortest_stops(

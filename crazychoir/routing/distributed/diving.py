@@ -3,22 +3,24 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from crazychoir.optimization.rounds.agreement import find_best_offer, flood_values
 from crazychoir.optimization.rounds.program import Exchange
+from crazychoir.routing.distributed.clusters import Neighbors
 from crazychoir.routing.distributed.master import (
     ColumnPool,
     Master,
     PartitionProblem,
     Relaxation,
+    Routes,
     find_partition,
 )
 from crazychoir.routing.distributed.member import RoutingMember
-from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
 from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
+from crazychoir.routing.pricing.packing import pack_columns, unpack_columns
 from crazychoir.routing.pricing.route_table import RouteColumn
 from crazychoir.types import Vec
 
@@ -37,12 +39,75 @@ class DivePasses:
     batch: int = 20
     """Columns that a robot offers in a pass."""
     tried: int = 8
-    """Columns of which the best one is fixed, if none is certain."""
+    """Columns that are tried, if none is certain; the best one is fixed."""
     nodes: int = 50
     """Branch-and-bound nodes of a search over the known columns, at most."""
 
 
 DIVE_PASSES = DivePasses()
+
+
+class PlanInForce(Protocol):
+    """The plan that the team has agreed on."""
+
+    @property
+    def routes(self) -> Mapping[int, list[int]]:
+        """Nodes of each robot's stops."""
+        ...
+
+    @property
+    def cost(self) -> float:
+        """Cost in m."""
+        ...
+
+    def columns(self) -> list[tuple[int, RouteColumn]]:
+        """Return its routes as (robot, column)."""
+        ...
+
+    def adopt(self, sets: Routes) -> bool:
+        """Take the plan with these tasks of each robot if it is better; return whether it is."""
+        ...
+
+
+def dive_for_plan(
+    plan: PlanInForce,
+    member: RoutingMember,
+    near: Neighbors,
+    pool: ColumnPool,
+    halves: HalfRoutes | None,
+    bound: float,
+) -> Exchange[None]:
+    """Round the relaxation to a plan, then that of one part of the plan after the other.
+
+    Each plan is adopted if it is better than the plan in force. The dives end after `still_dives`
+    parts without a gain, or when the plan meets the bound.
+
+    plan: the plan in force.
+    member: this robot.
+    near: divides the plan into parts.
+    pool: the columns that all robots know, extended in place.
+    halves: the routes of this robot, None if it does not price.
+    bound: m, no plan costs less.
+    """
+    settings = member.settings.proof
+    member.report(phase="dive")
+    member.kind = "columns"
+    plan.adopt((yield from Dive(member, pool, halves, []).run()))
+    still = 0
+    for number in range(settings.dives):
+        most = (member.place.robots, settings.dive_tasks)
+        for part in near.draw(plan.routes, most, 1, [number]):
+            cost = plan.cost
+            met = cost - bound <= member.tolerance(cost)
+            if met or still == settings.still_dives or member.budget.is_over:
+                return
+            if 2 * len(part.tasks) < settings.dive_tasks:
+                continue
+            fixed = [
+                column for column in plan.columns() if column[0] not in part.robots
+            ]
+            dive = Dive(member, pool, halves, fixed, cost)
+            still = 0 if plan.adopt((yield from dive.run())) else still + 1
 
 
 class Dive:
@@ -221,7 +286,7 @@ class Dive:
         """Return value, robot, and the columns to fix next, as robots and columns.
 
         Columns that are certain are fixed together. Otherwise it is the column that raises the
-        relaxation of the known columns least, of those with the largest parts.
+        relaxation of the known columns least, among the columns with the largest parts.
         """
         if master is None:
             return None

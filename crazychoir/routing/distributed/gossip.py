@@ -11,7 +11,7 @@ from crazychoir.routing.distributed.bound import (
 )
 from crazychoir.routing.distributed.master import ColumnPool, Master, Relaxation
 from crazychoir.routing.distributed.member import RoutingMember
-from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
+from crazychoir.routing.pricing.packing import pack_columns, unpack_columns
 from crazychoir.types import Vec
 
 REDUCED_COST_ROUNDING = 1e-7

@@ -12,9 +12,9 @@ from crazychoir.optimization.rounds.program import Exchange
 from crazychoir.routing.distributed.bound import Bound
 from crazychoir.routing.distributed.master import ColumnPool, Master
 from crazychoir.routing.distributed.member import RoutingMember
-from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
 from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
 from crazychoir.routing.pricing.labels import MOST_TASKS
+from crazychoir.routing.pricing.packing import pack_columns, unpack_columns
 from crazychoir.routing.pricing.reduced_cost import (
     bound_reduced_cost,
     find_least_reduced_cost,

@@ -19,9 +19,9 @@ from crazychoir.routing.distributed.master import (
     find_partition,
 )
 from crazychoir.routing.distributed.member import RoutingMember
-from crazychoir.routing.distributed.packing import pack_columns, unpack_columns
 from crazychoir.routing.instance.plan import hash_json
 from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
+from crazychoir.routing.pricing.packing import pack_columns, unpack_columns
 from crazychoir.routing.pricing.route_table import RouteColumn, RouteTable
 
 HOPELESS_GAP_SHARE = 0.5
@@ -306,7 +306,7 @@ class PlanProof:
         known = (
             None
             if self.best is None or self._below < np.inf
-            else self._with_refusals(self.best.routes, refusals)
+            else _with_refusals(self.best.routes, refusals)
         )
         weight = self._member.vehicle_weight
         problem = PartitionProblem(
@@ -347,12 +347,12 @@ class PlanProof:
             for j in np.flatnonzero(np.isfinite(refusal))
         ]
 
-    def _with_refusals(
-        self, routes: Routes, refusals: list[tuple[int, RouteColumn]]
-    ) -> Routes:
-        served = {j for tasks in routes.values() for j in tasks}
-        return routes | {
-            robot: column.tasks
-            for robot, column in refusals
-            if column.tasks[0] not in served
-        }
+
+def _with_refusals(routes: Routes, refusals: list[tuple[int, RouteColumn]]) -> Routes:
+    """Return the routes with the columns that refuse the tasks left."""
+    served = {j for tasks in routes.values() for j in tasks}
+    return routes | {
+        robot: column.tasks
+        for robot, column in refusals
+        if column.tasks[0] not in served
+    }

@@ -113,7 +113,7 @@ class HalfRoutes:
         prices: (M,) m.
         count: columns, at most.
         below: m.
-        rows: subset rows, whose charges are part of the reduced costs.
+        rows: subset rows; their charges are part of the reduced costs.
         """
         found: dict[tuple[int, ...], RouteColumn] = {}
         for _, a, b in self._joined(prices, below - self._vehicle.fixed, rows):
@@ -139,7 +139,7 @@ class HalfRoutes:
         below: m.
         most: columns, at most; finite.
         reward: m, subtracted from the reduced cost of each column.
-        rows: subset rows, whose charges are part of the reduced costs.
+        rows: subset rows; their charges are part of the reduced costs.
         """
         if not len(self._there.length):
             return []

@@ -150,7 +150,7 @@ class RowSearch:
     most_each: int = 5
     """Rows of one kind with the same task or robot, at most."""
     near: int = 14
-    """Tasks and robots that are tried beside another one: those that share the most columns."""
+    """Tasks and robots that are tried beside another one, by how many columns they share."""
 
 
 ROW_SEARCH = RowSearch()

@@ -35,7 +35,6 @@ from crazychoir.routing.distributed.member import (
     RoutingSettings,
     SearchSettings,
 )
-from crazychoir.routing.distributed.packing import pack_columns
 from crazychoir.routing.distributed.plain_loop import (
     compute_diameter,
     make_team,
@@ -48,6 +47,7 @@ from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
 from crazychoir.routing.pricing.arc_flow import solve_compact
 from crazychoir.routing.pricing.bidirectional_pricing import HalfRoutes
+from crazychoir.routing.pricing.packing import pack_columns
 from crazychoir.routing.pricing.route_table import RouteColumn, RouteTable
 
 WINDOWS = {

@@ -20,7 +20,6 @@ from crazychoir.routing.distributed.member import (
     RoutingSettings,
     SearchSettings,
 )
-from crazychoir.routing.distributed.packing import pack_columns
 from crazychoir.routing.distributed.pickup_delivery import (
     CLAIM_METHODS,
     PLANNING_METHODS,
@@ -37,6 +36,7 @@ from crazychoir.routing.distributed.proof import TaskPartition
 from crazychoir.routing.instance.checker import check_plan
 from crazychoir.routing.instance.generate import InstanceShape, random_instance
 from crazychoir.routing.instance.instance import Instance
+from crazychoir.routing.pricing.packing import pack_columns
 from crazychoir.routing.pricing.route_table import RouteColumn, RouteTable
 from crazychoir.team.round import Round
 
