@@ -90,6 +90,8 @@ def dive_for_plan(
     bound: m, no plan costs less.
     """
     settings = member.settings.proof
+    if not settings.dives:
+        return
     member.report(phase="dive")
     member.kind = "columns"
     plan.adopt((yield from Dive(member, pool, halves, []).run()))

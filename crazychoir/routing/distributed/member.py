@@ -159,7 +159,8 @@ class ProofSettings:
     large_nodes: int = 300
     """Branch-and-bound nodes if the robots list halves of routes, at most."""
     dives: int = 12
-    """Divisions of the plan into parts that dives plan again, at most; see diving.py."""
+    """Divisions of the plan into parts that dives plan again, at most; 0 for no dives. See diving.py.
+    """
     dive_tasks: int = 50
     """Largest number of tasks in such a part."""
     still_dives: int = 10

@@ -841,7 +841,7 @@ def test_the_widest_gap_with_few_columns_is_found_where_one_robot_has_too_many(
     assert len(near(end.value.value, most)) <= most
 
 
-@pytest.mark.parametrize(("seed", "most"), [(1, 6), (2, 6), (2, 20)])
+@pytest.mark.parametrize(("seed", "most"), [(1, 10), (2, 6), (2, 20)])
 def test_a_proof_that_looks_only_at_plans_near_the_bound_is_right(
     graph, monkeypatch, seed, most
 ):
@@ -859,7 +859,7 @@ def test_a_proof_that_looks_only_at_plans_near_the_bound_is_right(
     poor = RoutingSettings(
         columns=ColumnSettings(most_listed=0),
         search=SearchSettings(starters=1, first_steps=2, steps=1),
-        proof=ProofSettings(prove=True, most_proven=most),
+        proof=ProofSettings(prove=True, most_proven=most, dives=0),
     )
     best = cheapest_of_all_plans(instance)
     found = solve_in_loop(instance, graph("ring", 4), settings=poor)
