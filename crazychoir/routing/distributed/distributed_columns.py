@@ -90,6 +90,7 @@ class DistributedColumns:
         self._order = known.order
         self._measure = known.measure
         self._near = known.near
+        self._left_out = _price_left_out(self._member, known.robots)
         yield from self._begin()
         if self._budget.is_given:
             yield from self._improve(-np.inf, self._draw_passes(early=True))
@@ -147,27 +148,25 @@ class DistributedColumns:
             for i, tasks in self._sets().items()
         ]
 
-    def adopt(self, sets: Routes) -> bool:
-        """Adopt a plan that serves these sets of tasks if it is better than the plan in force."""
-        new = _find_shortest_plan(self._robots, sets, self._member.local.objective)
+    def adopt(self, sets: Routes, anew: bool = False) -> bool:
+        """Adopt a plan that serves these sets of tasks if it is better than the plan in force.
+
+        anew: whether the routes of robots that keep their tasks are optimised again.
+        """
+        old = {} if anew else self._sets()
+        changed = {
+            i: problem
+            for i, problem in self._robots.items()
+            if anew or sets.get(i, ()) != old.get(i, ())
+        }
+        objective = self._member.local.objective
+        new = self.routes | _find_shortest_plan(changed, sets, objective)
         worth = self._measure.compute_worth(new)
         if not is_better(worth, self._measure.compute_worth(self.routes)):
             return False
         self.routes = new
         self._report_cost()
         return True
-
-    @property
-    def _left_out(self) -> Vec:
-        """(M,): cost of a task that the search leaves out.
-
-        It is the refusal, or for a task that must be served more than any plan could save.
-        """
-        return np.where(
-            np.isfinite(self._member.local.tasks.refusal),
-            self._member.local.tasks.refusal,
-            bound_saving(self._robots, self._member.reach),
-        )
 
     def _relax(self) -> Exchange[Gossip | None]:
         """Generate columns if lengths are minimised and every robot can list its routes.
@@ -327,7 +326,7 @@ class DistributedColumns:
                 "infeasible",
             )
         if proof.best is not None:
-            self.adopt(proof.best.routes)
+            self.adopt(proof.best.routes, anew=True)
 
     def _assignment(
         self, bound: float | None, relaxation: str | None = None
@@ -353,6 +352,16 @@ class DistributedColumns:
             for i, stops in self.routes.items()
         }
         return {i: tasks for i, tasks in sorted(sets.items()) if tasks}
+
+
+def _price_left_out(member: RoutingMember, robots: Mapping[int, LocalProblem]) -> Vec:
+    """Return (M,): cost of a task that the search leaves out.
+
+    It is the refusal, or for a task that must be served more than any plan could save.
+    """
+    refusal = member.local.tasks.refusal
+    saving = bound_saving(robots, member.reach)
+    return np.where(np.isfinite(refusal), refusal, saving)
 
 
 def _choose_best_offers(

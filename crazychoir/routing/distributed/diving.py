@@ -94,7 +94,8 @@ def dive_for_plan(
         return
     member.report(phase="dive")
     member.kind = "columns"
-    plan.adopt((yield from Dive(member, pool, halves, []).run()))
+    if plan.cost - bound > member.tolerance(plan.cost):
+        plan.adopt((yield from Dive(member, pool, halves, [], plan.cost).run()))
     still = 0
     for number in range(settings.dives):
         most = (member.place.robots, settings.dive_tasks)
@@ -155,7 +156,7 @@ class Dive:
         self._first_sigma: dict[int, float] = {}
 
     def run(self) -> Exchange[dict[int, tuple[int, ...]]]:
-        """Return the tasks of each robot that flies."""
+        """Return the tasks of each robot that flies; none if the plan is not better than the known one."""
         while not self._member.budget.is_over:
             chosen = yield from self._choose()
             if not chosen:
@@ -164,6 +165,8 @@ class Dive:
             self._take(chosen)
         if self._given and not self._member.budget.is_over:
             yield from self._recombine()
+        if math.fsum(column.length for _, column in self._fixed) >= self._below:
+            return {}
         free = {i: iter(same) for i, same in self._member.alike.items()}
         return {next(free[i]): column.tasks for i, column in self._fixed}
 
@@ -204,23 +207,21 @@ class Dive:
             - self._first_sigma.get(i, 0.0)
             <= gap
         ]
-        found = find_partition(
-            PartitionProblem(
-                self._given + useful, len(self._member.unserved), self._member.alike
-            ),
-            0,
-            DIVE_PASSES.nodes,
-            below=below,
+        columns = self._given + useful
+        problem = PartitionProblem(
+            columns, len(self._member.unserved), self._member.alike
         )
+        found = find_partition(problem, 0, DIVE_PASSES.nodes, below=below)
         if found.cost >= below:
             return None
         speaker = {i: same[0] for same in self._member.alike.values() for i in same}
+        length = {(i, column.tasks): column.length for i, column in columns}
         routes = [(speaker[i], tasks) for i, tasks in found.routes.items()]
         return [
             found.cost,
             self._i,
             [i for i, _ in routes],
-            pack_columns([RouteColumn(0.0, tasks) for _, tasks in routes]),
+            pack_columns([RouteColumn(length[i, tasks], tasks) for i, tasks in routes]),
         ]
 
     def _take(self, chosen: list[tuple[int, RouteColumn]]) -> None:
