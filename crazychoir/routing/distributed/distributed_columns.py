@@ -67,8 +67,8 @@ class DistributedColumns:
        is flooded, and all robots adopt it. Clusters are disjoint, so the results of any number of
        clusters fit together without locks. The plan in force is feasible after each pass.
        Passes go on while a given budget lasts; see clusters.py.
-    6. If step 3 was not possible and `prove` is set, large_bound.py computes a bound, and proof.py
-       searches the columns near it.
+    6. If step 3 was not possible and `prove` is set, large_bound.py computes a bound. If its pricing
+       is exact, diving.py looks for better plans, and proof.py searches the columns near the bound.
 
     If the budget is over, the robots skip what is left, and keep the plan in force.
 

@@ -87,11 +87,14 @@ class LargeBound:
     - the pricing of a robot is cut: it could serve more than MOST_TASKS tasks, or has too many
       routes at these prices. Bounds proven earlier still hold.
 
+    If the pricing was exact, up to BOUND_PASSES.cut_passes passes with subset rows follow. Their
+    prices are those of the known columns and rows. They end when neither columns nor rows are new.
+
     member: this robot.
     plan: the known plan, a column for each robot that flies.
     `value`: m, None if there is no bound.
     `relaxation`: relaxation of the routes, None if they were priced exactly.
-    `bound`: the bound with its prices.
+    `bound`: the bound with its prices and rows.
     `pool`: the columns that all robots know, with the columns of the plan.
     `halves`: the routes of this robot, None if it prices by the relaxation or not at all.
     Source: Wentges 1997, International Transactions in Operational Research 4(2), for the prices.
