@@ -371,9 +371,7 @@ def _choose_best_offers(
     better: dict[int, list[int]] = {}
     for cluster in clusters:
         made = [
-            (list(offers[i][0]), rank[i], i)
-            for i in cluster.leaders
-            if i in offers
+            (list(offers[i][0]), rank[i], i) for i in cluster.leaders if i in offers
         ]
         if made:
             better |= _unflatten_routes(offers[min(made)[2]][1])

@@ -210,7 +210,7 @@ class LargeBound:
     @property
     def _open_gap(self) -> float:
         """m between the plan and the bound."""
-        return math.fsum(column.length for _, column in self._plan) - self.bound.value
+        return self._plan_cost - self.bound.value
 
     def _final_gap(self, relaxed: float, best: float) -> float:
         """Return the gap in m at which the passes end."""
