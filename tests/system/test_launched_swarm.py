@@ -8,6 +8,7 @@ import pytest
 from pages import block
 
 from crazychoir.api import OrderFailed, launch, read
+from crazychoir.radio.virtual.control import ask_server
 
 pytestmark = [pytest.mark.system, pytest.mark.real_time]
 PAGE = "crazychoir/api/README.md"
@@ -30,7 +31,8 @@ def test_script_launches_a_swarm_flies_it_and_reads_its_track(tmp_path):
 def test_a_virtual_drone_that_falls_is_a_failure_of_the_run():
     with launch("operator", drones=1, bodies="virtual") as swarm:
         swarm.take_off(height=0.6, duration=1.5)
-        swarm.stop()
+        port = swarm.config.mocap.port
+        ask_server({"faults": {"all": {"off": 1}}}, port=port)
     assert not swarm.result["success"]
     assert "crashed: hit the floor" in swarm.result["reasons"]["0"]
 
