@@ -254,7 +254,7 @@ class Peers:
                 f"HELLO of {hello.process} on {hello.host}, sent by {peer.process} on {peer.host}"
             )
         if is_older(hello, peer.hello):
-            return False
+            return not hello.hears_receiver
         peer.said = payload
         uptime = hello.uptime + age
         peer.since_ns = peer.since_ns or self.bus.clock.now_ns() - round(
@@ -401,12 +401,14 @@ class Peers:
 
 
 def is_older(hello: Hello, taken: Hello | None) -> bool:
-    """Return whether a HELLO came late, after a newer one of the same process was taken."""
-    return (
-        taken is not None
-        and hello.incarnation == taken.incarnation
-        and hello.uptime < taken.uptime
-    )
+    """Return whether a HELLO came late, after a newer one of the same process was taken.
+
+    Of two HELLOs with the same uptime, the newer one says that ours has arrived. A process that
+    lacks our token has lost us since, so its HELLO is never older.
+    """
+    if taken is None or hello.incarnation != taken.incarnation or hello.lacks_token:
+        return False
+    return (hello.uptime, hello.hears_receiver) < (taken.uptime, taken.hears_receiver)
 
 
 def make_hello(bus: Bus, own: Introduction, uptime: float) -> Hello:

@@ -136,6 +136,10 @@ def test_a_hello_that_comes_after_a_newer_one_is_left_out(here: Here) -> None:
     here.hear(hello(drones=(2, 3), uptime=2.0))
     assert here.hear(hello(drones=(2,), uptime=1.5)) is False
     assert set(here.peers.directory) == {2, 3}
+    assert here.hear(hello(drones=(2, 3), uptime=2.0, hears_receiver=False)), (
+        "it gets ours, in case that it has lost us"
+    )
+    assert here.peers.mutual(here.peers.by_name["b"])
     here.hear(hello(drones=(2,), uptime=0.1, incarnation=3))
     assert set(here.peers.directory) == {2}, "it has started again"
 
